@@ -1,0 +1,1 @@
+"""Localization of two-wheeled robots by an EKF that finds its own noise."""

@@ -1,0 +1,20 @@
+"""The one place where angles are wrapped."""
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+
+
+def wrap_angle(angle: FloatArray | float) -> FloatArray:
+    """Wrap angles to (-pi, pi].
+
+    Args:
+        angle: any shape [rad].
+
+    Returns:
+        The equivalent angles in (-pi, pi], same shape; angles already inside come back unchanged.
+    """
+    a = np.asarray(angle, dtype=np.float64)
+    # The remainder is only taken where it is needed, so that a small angle keeps all its bits.
+    wrapped = -(np.remainder(np.pi - a, 2.0 * np.pi) - np.pi)
+    return np.asarray(np.where((a > -np.pi) & (a <= np.pi), a, wrapped), dtype=np.float64)

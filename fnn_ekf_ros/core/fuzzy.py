@@ -1,0 +1,227 @@
+"""The fuzzy neural network from mismatch to noise change (Nguyen et al., eqs. 17-24).
+
+Input is the mismatch D = S - C_hat of one axis, output the change dR of its noise variance, both
+in the unit of the membership sets (mm^2 and mrad^2 for the paper's). The rules:
+
+    D is N(egative) -> dR is I(ncrease)     alpha_1 = N(D)    z_1 = I^-1(alpha_1)
+    D is Z(ero)     -> dR is M(aintain)     alpha_2 = Z(D)    z_2 = M^-1(alpha_2)
+    D is P(ositive) -> dR is D(ecrease)     alpha_3 = P(D)    z_3 = D^-1(alpha_3)
+
+    beta_k = alpha_k / sum(alpha),   dR = sum beta_k z_k                       (20)-(22)
+
+with sigmoids 1 / (1 + exp(-a (x - b))) and Gaussians exp(-(x - c)^2 / (2 sigma^2)) (17). As the
+paper prints them, P falls and N rises with its argument: the printed pair fits the argument
+x = C_hat - S = -D, and that is what the sets are evaluated at here.
+
+A sigmoid antecedent into a sigmoid consequent is exactly linear, I^-1(N(x)) = b_I + (a_N/a_I)
+(x - b_N). The closed form is used because the literal logarithm overflows far from the centre.
+M^-1 has two values; the branch M^-1(Z(x)) = c_M + (sigma_M/sigma_Z) (x - c_Z) makes all three
+rules linear. A consequent of slope 0 (the initial D) has no inverse; its centre is taken.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+
+
+class FuzzySets(NamedTuple):
+    """The six membership functions; the letters are the paper's.
+
+    Attributes:
+        positive_slope: a1 of P, the antecedent "S is larger than the innovations show".
+        positive_center: b1 of P.
+        negative_slope: a2 of N, the antecedent "S is smaller".
+        negative_center: b2 of N.
+        decrease_slope: a3 of D, the consequent "decrease the noise"; 0 means a crisp D at b3.
+        decrease_center: b3 of D.
+        increase_slope: a4 of I, the consequent "increase the noise"; not 0.
+        increase_center: b4 of I.
+        maintain_center: c1 of M, the consequent "leave the noise".
+        maintain_width: sigma1 of M, at least 0; 0 means a crisp M at c1.
+        zero_center: c2 of Z, the antecedent "S is right".
+        zero_width: sigma2 of Z, more than 0.
+    """
+
+    positive_slope: float
+    positive_center: float
+    negative_slope: float
+    negative_center: float
+    decrease_slope: float
+    decrease_center: float
+    increase_slope: float
+    increase_center: float
+    maintain_center: float
+    maintain_width: float
+    zero_center: float
+    zero_width: float
+
+
+class Inference(NamedTuple):
+    """What the network concluded; the last axis counts the rules I, M, D.
+
+    Attributes:
+        change: `(...)` dR in the sets' unit.
+        firing_strength: `(..., 3)` alpha, each in [0, 1].
+        normalized_firing: `(..., 3)` beta, sums to 1.
+        consequent: `(..., 3)` z, each rule's own dR.
+    """
+
+    change: FloatArray
+    firing_strength: FloatArray
+    normalized_firing: FloatArray
+    consequent: FloatArray
+
+
+def sigmoid(x: FloatArray, slope: float, center: float) -> FloatArray:
+    """Return the sigmoid membership 1 / (1 + exp(-a (x - b))) without overflow (eq. 17)."""
+    return np.exp(_log_sigmoid(x, slope, center))
+
+
+def gaussian(x: FloatArray, center: float, width: float) -> FloatArray:
+    """Return the Gaussian membership exp(-(x - c)^2 / (2 sigma^2)) (eq. 17); crisp if sigma = 0."""
+    if width == 0.0:
+        return np.where(x == center, 1.0, 0.0)
+    return np.exp(_log_gaussian(x, center, width))
+
+
+def infer(sets: FuzzySets, mismatch: FloatArray) -> Inference:
+    """Run the five layers on mismatches (eqs. 19-22, Tsukamoto's inference).
+
+    Args:
+        sets: the membership functions.
+        mismatch: `(...)` D = S - C_hat in the sets' unit.
+    """
+    x = -mismatch
+    log_alpha = _log_firing(sets, x)
+    # Normalised in logarithms: where every set is far away the nearest one still decides.
+    relative = np.exp(log_alpha - np.max(log_alpha, axis=-1, keepdims=True))
+    beta = relative / np.sum(relative, axis=-1, keepdims=True)
+    z = _consequents(sets, x)
+    return Inference(np.sum(beta * z, axis=-1), np.exp(log_alpha), beta, z)
+
+
+def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
+    """Return the derivative of the network's output by each of its parameters (for eq. 24).
+
+        d dR/dp = sum_k beta_k ( (z_k - dR) dln(alpha_k)/dp + dz_k/dp )
+
+    Args:
+        sets: the membership functions.
+        mismatch: `(...)` D in the sets' unit.
+
+    Returns:
+        `(..., 12)`, in the order of `FuzzySets`. Where a consequent is crisp (slope or width 0)
+        the derivative by that slope or width is 0: there is no inverse to differentiate.
+    """
+    x = -mismatch
+    s = sets
+    output = infer(sets, mismatch)
+    beta, z, dR = output.normalized_firing, output.consequent, output.change
+    weight_i, weight_m, weight_d = np.moveaxis(beta * (z - dR[..., None]), -1, 0)
+    beta_i, beta_m, beta_d = np.moveaxis(beta, -1, 0)
+
+    p_rest = sigmoid(x, -s.positive_slope, s.positive_center)  # 1 - P
+    n_rest = sigmoid(x, -s.negative_slope, s.negative_center)  # 1 - N
+    from_p, from_n, from_z = x - s.positive_center, x - s.negative_center, x - s.zero_center
+    zeros = np.zeros_like(x)
+    crisp_d = s.decrease_slope == 0.0
+    a3 = 1.0 if crisp_d else s.decrease_slope
+    live_d = zeros if crisp_d else beta_d
+    ratio_m = s.maintain_width / s.zero_width
+
+    return np.stack(
+        [
+            weight_d * p_rest * from_p + live_d * from_p / a3,
+            -weight_d * p_rest * s.positive_slope - live_d * s.positive_slope / a3,
+            weight_i * n_rest * from_n + beta_i * from_n / s.increase_slope,
+            -weight_i * n_rest * s.negative_slope - beta_i * s.negative_slope / s.increase_slope,
+            -live_d * s.positive_slope * from_p / a3**2,
+            beta_d,
+            -beta_i * s.negative_slope * from_n / s.increase_slope**2,
+            beta_i,
+            beta_m,
+            beta_m * from_z / s.zero_width,
+            weight_m * from_z / s.zero_width**2 - beta_m * ratio_m,
+            weight_m * from_z**2 / s.zero_width**3 - beta_m * ratio_m * from_z / s.zero_width,
+        ],
+        axis=-1,
+    )
+
+
+def infer_centroid(
+    sets: FuzzySets, mismatch: FloatArray, change_limit: float, points: int = 201
+) -> Inference:
+    """Run the plain fuzzy system: clipped consequents, centroid defuzzification (eq. 18).
+
+        dR = sum z mu(z) / sum z mu(z),   mu(z) = max_k min(alpha_k, consequent_k(z))
+
+    Args:
+        sets: the membership functions.
+        mismatch: `(...)` D in the sets' unit.
+        change_limit: half width of the universe of dR [the sets' unit]; the paper does not
+            print it, and sigmoid consequents have no centroid without one.
+        points: samples of the universe.
+    """
+    alpha = np.exp(_log_firing(sets, -mismatch))
+    z = np.linspace(-change_limit, change_limit, points)
+    consequents = np.stack(
+        [
+            sigmoid(z, sets.increase_slope, sets.increase_center),
+            # A set narrower than the sampling would fall between two samples.
+            gaussian(
+                z, sets.maintain_center, max(sets.maintain_width, change_limit / (points - 1))
+            ),
+            sigmoid(z, sets.decrease_slope, sets.decrease_center),
+        ]
+    )
+    clipped = np.minimum(alpha[..., None], consequents)
+    mu = np.max(clipped, axis=-2)
+    change = _weighted_mean(z, mu)
+    consequent = _weighted_mean(z, clipped)
+    total = np.sum(alpha, axis=-1, keepdims=True)
+    beta = np.where(total > 0.0, alpha, 1.0) / np.where(total > 0.0, total, alpha.shape[-1])
+    return Inference(change, alpha, beta, consequent)
+
+
+def _weighted_mean(z: FloatArray, weight: FloatArray) -> FloatArray:
+    total = np.sum(weight, axis=-1)
+    return np.asarray(
+        np.sum(z * weight, axis=-1) / np.where(total > 0.0, total, 1.0), dtype=np.float64
+    )
+
+
+def _log_sigmoid(x: FloatArray, slope: float, center: float) -> FloatArray:
+    return np.asarray(-np.logaddexp(0.0, -slope * (x - center)), dtype=np.float64)
+
+
+def _log_gaussian(x: FloatArray, center: float, width: float) -> FloatArray:
+    return -0.5 * ((x - center) / width) ** 2
+
+
+def _log_firing(sets: FuzzySets, x: FloatArray) -> FloatArray:
+    return np.stack(
+        [
+            _log_sigmoid(x, sets.negative_slope, sets.negative_center),
+            _log_gaussian(x, sets.zero_center, sets.zero_width),
+            _log_sigmoid(x, sets.positive_slope, sets.positive_center),
+        ],
+        axis=-1,
+    )
+
+
+def _consequents(sets: FuzzySets, x: FloatArray) -> FloatArray:
+    increase = sets.increase_center + sets.negative_slope / sets.increase_slope * (
+        x - sets.negative_center
+    )
+    maintain = sets.maintain_center + sets.maintain_width / sets.zero_width * (
+        x - sets.zero_center
+    )
+    if sets.decrease_slope == 0.0:
+        decrease = np.full_like(x, sets.decrease_center)
+    else:
+        decrease = sets.decrease_center + sets.positive_slope / sets.decrease_slope * (
+            x - sets.positive_center
+        )
+    return np.stack([increase, maintain, decrease], axis=-1)

@@ -1,0 +1,53 @@
+"""From encoder counts to the control input of the filter (Nguyen et al., eqs. 1-3)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class WheelGeometry:
+    """Geometry of a differential drive.
+
+    Attributes:
+        wheel_radius: radius of both wheels [m]; D / 2.
+        wheel_separation: distance between the contact points of the wheels [m]; L.
+        gear_ratio: encoder turns per wheel turn; n.
+        encoder_counts_per_revolution: counts per encoder turn; C_e.
+    """
+
+    wheel_radius: float
+    wheel_separation: float
+    gear_ratio: float
+    encoder_counts_per_revolution: float
+
+    @property
+    def metres_per_count(self) -> float:
+        """Way of the wheel's rim per encoder count [m] (eq. 1): C_m = pi D / (n C_e)."""
+        return (
+            2.0 * math.pi * self.wheel_radius
+            / (self.gear_ratio * self.encoder_counts_per_revolution)
+        )  # fmt: skip
+
+
+def control_from_counts(
+    geometry: WheelGeometry, left_counts: FloatArray | float, right_counts: FloatArray | float
+) -> FloatArray:
+    """Return the wheel increments as the filter's control input (eqs. 2 and 3).
+
+        dS_L = C_m N_L, dS_R = C_m N_R, dS = (dS_L + dS_R) / 2, dtheta = (dS_R - dS_L) / L
+
+    Args:
+        geometry: the robot's wheels.
+        left_counts: counts of the left wheel over the step, `(...)`; fractions allowed.
+        right_counts: counts of the right wheel over the step, `(...)`.
+
+    Returns:
+        `(..., 2)`: [dS, dtheta], way of the axle's middle [m] and turn, counter-clockwise [rad].
+    """
+    left = geometry.metres_per_count * np.asarray(left_counts, dtype=np.float64)
+    right = geometry.metres_per_count * np.asarray(right_counts, dtype=np.float64)
+    return np.stack([0.5 * (left + right), (right - left) / geometry.wheel_separation], axis=-1)

@@ -1,0 +1,49 @@
+"""The window of the last N innovations and its mean square (Nguyen et al., eq. 13)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray
+
+
+class InnovationWindow(NamedTuple):
+    """Squares of the last innovations, for each row its own last N.
+
+    Attributes:
+        squares: `(..., N, 4)` squared innovations (m^2, m^2, rad^2, rad^2), newest last.
+        counts: `(..., 4)` how many of them are filled.
+    """
+
+    squares: FloatArray
+    counts: FloatArray
+
+
+def empty_window(length: int, batch: tuple[int, ...] = ()) -> InnovationWindow:
+    """Return a window for the last `length` innovations with nothing in it."""
+    return InnovationWindow(
+        np.zeros((*batch, length, MEASUREMENT_SIZE)), np.zeros((*batch, MEASUREMENT_SIZE))
+    )
+
+
+def push(window: InnovationWindow, innovation: FloatArray, available: BoolArray) -> InnovationWindow:
+    """Return the window with one more innovation in the rows that have one.
+
+    Args:
+        window: the window so far; not changed.
+        innovation: `(..., 4)` r (m, m, rad, rad).
+        available: `(..., 4)` which rows were measured; the others keep what they have.
+    """
+    length = window.squares.shape[-2]
+    shifted = np.concatenate(
+        [window.squares[..., 1:, :], (innovation * innovation)[..., None, :]], axis=-2
+    )
+    return InnovationWindow(
+        np.where(available[..., None, :], shifted, window.squares),
+        np.minimum(window.counts + available, float(length)),
+    )
+
+
+def mean_square(window: InnovationWindow) -> FloatArray:
+    """Return the diagonal of C_hat, `(..., 4)` (m^2, m^2, rad^2, rad^2); 0 for an empty row."""
+    return np.sum(window.squares, axis=-2) / np.maximum(window.counts, 1.0)
