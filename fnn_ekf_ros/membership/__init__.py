@@ -1,0 +1,1 @@
+"""Membership function files: packaged sets, and the reader of the users' own."""

@@ -1,0 +1,102 @@
+"""The parameters of `fake_robot` and `simulate`."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fnn_ekf_ros.parameters.schema import Parameters, build, parameter
+
+NODE_NAME = "fake_robot"
+
+SIMULATION_1_SLIP_STD = (0.02, math.radians(1.0))
+SIMULATION_2_SLIP_STD = (0.05, math.radians(3.0))
+
+
+@dataclass(frozen=True, slots=True)
+class FakeRobotParameters(Parameters):
+    """Parameters of the simulated robot; geometry and noise are the paper's."""
+
+    # Geometry
+    wheel_radius: float = parameter(
+        0.025, "Radius of the wheels, D / 2.", "m", above=0.0, at_most=10.0
+    )
+    wheel_separation: float = parameter(
+        0.6, "Distance between the wheels' contact points, L.", "m", above=0.0, at_most=100.0
+    )
+    gear_ratio: float = parameter(
+        1.0, "Encoder turns per wheel turn, n.", "", above=0.0, at_most=1e6
+    )
+    encoder_counts_per_revolution: float = parameter(
+        500.0, "Counts per turn of the encoder, C_e.", "counts", above=0.0, at_most=1e9
+    )
+
+    # Encoders
+    encoder_bits: int = parameter(
+        32, "Width of the counters; they wrap at 2^bits, signed.", "bits", at_least=8, at_most=32
+    )
+    left_start_count: int = parameter(
+        0, "Left counter at the start.", "counts", at_least=-(2**31), at_most=2**31 - 1
+    )
+    right_start_count: int = parameter(
+        0, "Right counter at the start.", "counts", at_least=-(2**31), at_most=2**31 - 1
+    )
+    left_joint: str = parameter("left_wheel_joint", "Name of the left wheel in joint_states.")
+    right_joint: str = parameter("right_wheel_joint", "Name of the right wheel in joint_states.")
+
+    # Drive
+    path: str = parameter(
+        "square", "What is driven: a scripted path, or cmd_vel to follow that topic.",
+        choices=("square", "round", "figure_eight", "sim1", "sim2", "cmd_vel"),
+    )
+    speed: float = parameter(
+        0.3, "Speed along a scripted path.", "m/s", above=0.0, at_most=10.0
+    )
+    cmd_vel_timeout: float = parameter(
+        0.5, "The robot stops when cmd_vel has been silent for so long.", "s", above=0.0,
+        at_most=3600.0,
+    )
+    wheel_speed_error: float = parameter(
+        0.05, "Motor control holds each wheel's speed within this part of the command.", "",
+        at_least=0.0, at_most=0.5,
+    )
+
+    # Noise
+    slip_std: tuple[float, float] = parameter(
+        SIMULATION_2_SLIP_STD,
+        "Motion the encoders do not see, per 375 ms: way, turn (path sim1: [0.02, 0.01745]).",
+        "[m, rad]", at_least=0.0, at_most=1e3,
+    )
+    lrf_std: tuple[float, float, float] = parameter(
+        (0.1, 0.1, 0.134), "Noise of the laser fixes.", "[m, m, rad]", at_least=0.0, at_most=1e3
+    )
+    compass_std: float = parameter(
+        0.134, "Noise of the compass.", "rad", at_least=0.0, at_most=1e3
+    )
+    seed: int = parameter(
+        1, "Seed of everything random: the same seed gives the same run.", "", at_least=0,
+        at_most=2**31 - 1,
+    )
+
+    # Time
+    publish_clock: bool = parameter(
+        False, "Run on a clock of its own, from 0, and publish it as /clock for use_sim_time."
+    )
+    real_time_factor: float = parameter(
+        1.0, "Speed of that clock.", "", above=0.0, at_most=1000.0
+    )
+
+    # Frames
+    frame_id: str = parameter("map", "Frame of the fixes and of ground_truth.")
+    base_frame: str = parameter("base_link", "Frame of the robot: the middle of the axle.")
+
+
+def build_fake_robot(values: Mapping[str, Any]) -> FakeRobotParameters:
+    """Return the parameters; path `sim1` brings simulation 1's slip unless slip is given.
+
+    Raises:
+        ParameterError: an unknown name, a wrong type, a value out of range.
+    """
+    if values.get("path") == "sim1" and "slip_std" not in values:
+        values = {**values, "slip_std": SIMULATION_1_SLIP_STD}
+    return build(FakeRobotParameters, values)

@@ -1,0 +1,66 @@
+"""From the localizer's parameters to the core's models; the only place that squares."""
+
+import math
+
+from fnn_ekf_ros.core.adaptation import (
+    Adaptation,
+    AdaptationMode,
+    FuzzyNetwork,
+    InferenceKind,
+    NoiseBounds,
+)
+from fnn_ekf_ros.core.filter import FilterModel
+from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.odometry import WheelGeometry
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+
+
+def wheel_geometry(parameters: LocalizerParameters) -> WheelGeometry:
+    """Return the geometry; with joint_states a "count" is one radian of the wheel."""
+    if parameters.encoder_source == "joint_states":
+        return WheelGeometry(
+            parameters.wheel_radius, parameters.wheel_separation, 1.0, 2.0 * math.pi
+        )
+    return WheelGeometry(
+        parameters.wheel_radius,
+        parameters.wheel_separation,
+        parameters.gear_ratio,
+        parameters.encoder_counts_per_revolution,
+    )
+
+
+def filter_model(parameters: LocalizerParameters, network: FuzzyNetwork) -> FilterModel:
+    """Return the filter's model."""
+    p = parameters
+    return FilterModel(
+        motion_model=MotionModel(p.motion_model),
+        period_s=p.period,
+        process_noise=_process(p.process_noise_std),
+        measurement_noise=_measurement(p.measurement_noise_std, p.lrf_yaw_std),
+        adaptation=Adaptation(
+            mode=AdaptationMode(p.adaptation),
+            kind=InferenceKind(p.inference),
+            network=network,
+            window_length=p.innovation_window,
+            bounds=NoiseBounds(
+                process_min=_process(p.process_noise_std_min),
+                process_max=_process(p.process_noise_std_max),
+                measurement_min=_measurement(
+                    p.measurement_noise_std_min, p.measurement_noise_std_min[2]
+                ),
+                measurement_max=_measurement(
+                    p.measurement_noise_std_max, p.measurement_noise_std_max[2]
+                ),
+            ),
+        ),
+    )
+
+
+def _process(std: tuple[float, float]) -> tuple[float, float]:
+    return std[0] ** 2, std[1] ** 2
+
+
+def _measurement(
+    std: tuple[float, float, float], lrf_yaw_std: float
+) -> tuple[float, float, float, float]:
+    return std[0] ** 2, std[1] ** 2, std[2] ** 2, lrf_yaw_std**2

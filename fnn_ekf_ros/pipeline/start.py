@@ -1,0 +1,89 @@
+"""Waiting for the start: no estimate until x, y and yaw have been measured."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.filter import (
+    NOMINAL_PERIOD_S,
+    FilterModel,
+    FilterState,
+    StepInput,
+    start_filter,
+)
+from fnn_ekf_ros.core.motion import move
+
+
+class Waiting(NamedTuple):
+    """What is known before the filter can start; what was measured is carried by the wheels.
+
+    Attributes:
+        process_noise: `(2,)` Q to start with (m^2, rad^2).
+        measurement_noise: `(4,)` R to start with.
+        position: `(2,)` the last fix [m]; None before the first.
+        position_variance: `(2, 2)` its covariance [m^2].
+        since_fix: `(3,)` pose relative to the robot's pose at the fix (m, m, rad).
+        yaw: the last yaw, carried [rad]; None before the first.
+        yaw_variance: [rad^2].
+    """
+
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+    position: FloatArray | None = None
+    position_variance: FloatArray = np.zeros((2, 2))
+    since_fix: FloatArray = np.zeros(3)
+    yaw: float | None = None
+    yaw_variance: float = 0.0
+
+
+def wait(model: FilterModel, waiting: Waiting, period: StepInput) -> Waiting | FilterState:
+    """Take one period in; returns the started filter as soon as x, y and yaw are known.
+
+    The start's covariance is R, plus Q for each period that a measurement had to be carried.
+    """
+    noise = period.measurement_covariance
+    R = np.diag(waiting.measurement_noise) if noise is None else noise
+    at = period.control_at_measurement
+    rest = np.zeros((Row.LRF_YAW + 1, 2)) if at is None else period.control - at
+    forward, turn = np.asarray(waiting.process_noise) * model.period_s / NOMINAL_PERIOD_S
+
+    if period.available[Row.X] and period.available[Row.Y]:
+        waiting = waiting._replace(
+            position=period.measurement[[Row.X, Row.Y]],
+            position_variance=R[:2, :2],
+            since_fix=move(model.motion_model, np.zeros(3), rest[Row.X]).mean,
+        )
+    elif waiting.position is not None:
+        waiting = waiting._replace(
+            since_fix=move(model.motion_model, waiting.since_fix, period.control).mean,
+            position_variance=waiting.position_variance + forward * np.eye(2),
+        )
+
+    yaw_rows = [row for row in (Row.COMPASS_YAW, Row.LRF_YAW) if period.available[row]]
+    if yaw_rows:
+        row = yaw_rows[0]
+        waiting = waiting._replace(
+            yaw=float(period.measurement[row] + rest[row, 1]), yaw_variance=float(R[row, row])
+        )
+    elif waiting.yaw is not None:
+        waiting = waiting._replace(
+            yaw=waiting.yaw + float(period.control[1]),
+            yaw_variance=waiting.yaw_variance + float(turn),
+        )
+
+    if waiting.position is None or waiting.yaw is None:
+        return waiting
+    heading = waiting.yaw - waiting.since_fix[2]
+    c, s = np.cos(heading), np.sin(heading)
+    x, y = waiting.position + np.array([[c, -s], [s, c]]) @ waiting.since_fix[:2]
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = waiting.position_variance
+    covariance[2, 2] = waiting.yaw_variance
+    return start_filter(
+        model,
+        np.array([x, y, (waiting.yaw + np.pi) % (2.0 * np.pi) - np.pi]),
+        covariance,
+        waiting.process_noise,
+        waiting.measurement_noise,
+    )

@@ -1,0 +1,109 @@
+"""The simulated differential drive; every array may have leading batch dimensions.
+
+Truth moves on exact arcs in steps of `STEP_S`, a thirtieth of the filter's period. The motor
+control's error moves truth and encoders alike. Slip is what the encoders do not see: white noise
+on way and turn whose variance over 375 ms is `slip_std` squared, while the wheels turn.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.core.odometry import WheelGeometry
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.simulation.paths import Path
+
+STEP_S = 0.0125
+LOOKAHEAD = 0.3
+"""Distance at which the driver looks ahead along the path [m]."""
+LARGEST_TURN_RATE = 1.5
+"""The driver turns no faster [rad/s]."""
+
+
+class RobotState(NamedTuple):
+    """The simulated robot's truth.
+
+    Attributes:
+        pose: `(..., 3)` [x, y, yaw] in the map frame (m, m, rad).
+        travel: `(..., 2)` way of the left and right wheel's rim since the start [m].
+        progress: `(...)` way along the path of the point the driver aims at [m].
+    """
+
+    pose: FloatArray
+    travel: FloatArray
+    progress: FloatArray
+
+
+def at_rest(pose: FloatArray) -> RobotState:
+    """Return a robot at poses `(..., 3)` (m, m, rad) that has not moved yet."""
+    batch = pose.shape[:-1]
+    return RobotState(pose, np.zeros((*batch, 2)), np.zeros(batch))
+
+
+def wheel_geometry(parameters: FakeRobotParameters) -> WheelGeometry:
+    """Return the robot's true geometry."""
+    return WheelGeometry(
+        parameters.wheel_radius,
+        parameters.wheel_separation,
+        parameters.gear_ratio,
+        parameters.encoder_counts_per_revolution,
+    )
+
+
+def follow(path: Path, state: RobotState, speed: float) -> tuple[RobotState, FloatArray]:
+    """Return the command of a driver who sees where the robot is and keeps it on the path.
+
+    Pure pursuit (Coulter 1992): steer on the arc through the point ahead, omega = 2 v sin(a) / d.
+
+    Returns:
+        The state with the driver's aim moved on, and the command `(..., 2)` [linear x, angular z]
+        (m/s, rad/s).
+    """
+    distance = np.linalg.norm(path.at(state.progress) - state.pose[..., :2], axis=-1)
+    progress = state.progress + np.maximum(LOOKAHEAD - distance, 0.0)
+    ahead = path.at(progress) - state.pose[..., :2]
+    angle = wrap_angle(np.arctan2(ahead[..., 1], ahead[..., 0]) - state.pose[..., 2])
+    rate = 2.0 * speed * np.sin(np.clip(angle, -0.5 * np.pi, 0.5 * np.pi)) / LOOKAHEAD
+    rate = np.clip(rate, -LARGEST_TURN_RATE, LARGEST_TURN_RATE)
+    command = np.stack([np.full_like(rate, speed), rate], axis=-1)
+    return state._replace(progress=progress), command
+
+
+def advance(
+    parameters: FakeRobotParameters,
+    state: RobotState,
+    command: FloatArray,
+    rng: np.random.Generator,
+) -> RobotState:
+    """Return the robot one `STEP_S` later.
+
+    Args:
+        parameters: geometry, motor control and slip.
+        state: the robot now.
+        command: `(..., 2)` [linear x, angular z] (m/s, rad/s).
+        rng: source of the motor control's error and of slip.
+    """
+    L = parameters.wheel_separation
+    half_turn = 0.5 * L * command[..., 1]
+    speeds = np.stack([command[..., 0] - half_turn, command[..., 0] + half_turn], axis=-1)
+    batch = state.pose.shape[:-1]
+    draws = rng.random((*batch, 2)), rng.standard_normal((*batch, 2))
+    way = speeds * (1.0 + parameters.wheel_speed_error * (2.0 * draws[0] - 1.0)) * STEP_S
+
+    moving = np.any(speeds != 0.0, axis=-1, keepdims=True)
+    slip = draws[1] * np.asarray(parameters.slip_std) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
+    control = np.stack(
+        [0.5 * (way[..., 0] + way[..., 1]), (way[..., 1] - way[..., 0]) / L], axis=-1
+    ) + np.where(moving, slip, 0.0)
+    pose = state.pose + displacement(MotionModel.EXACT_ARC, state.pose[..., 2], control)
+    pose[..., 2] = wrap_angle(pose[..., 2])
+    return state._replace(pose=pose, travel=state.travel + way)
+
+
+def encoder_counts(parameters: FakeRobotParameters, state: RobotState) -> FloatArray:
+    """Return the whole counts `(..., 2)` [left, right] since the start, not yet wrapped."""
+    return np.floor(state.travel / wheel_geometry(parameters).metres_per_count)

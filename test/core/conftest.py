@@ -1,0 +1,163 @@
+"""What the tests of the core share: the published membership sets, filters, the textbook EKF."""
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.core.adaptation import (
+    Adaptation,
+    AdaptationMode,
+    FuzzyNetwork,
+    InferenceKind,
+    NoiseBounds,
+)
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.filter import FilterModel
+from fnn_ekf_ros.core.fuzzy import FuzzySets
+from fnn_ekf_ros.core.motion import MotionModel
+
+# Nguyen et al., before learning; P, N, D, I, M, Z as the paper numbers them.
+INITIAL = FuzzySets(
+    positive_slope=-0.16,
+    positive_center=-17.0,
+    negative_slope=0.1,
+    negative_center=13.0,
+    decrease_slope=0.0,
+    decrease_center=-100.0,
+    increase_slope=0.1,
+    increase_center=23.0,
+    maintain_center=0.03,
+    maintain_width=0.0,
+    zero_center=0.03,
+    zero_width=0.03,
+)
+
+# Nguyen et al., after learning.
+PUBLISHED = FuzzySets(
+    positive_slope=-0.1073,
+    positive_center=-17.0995,
+    negative_slope=0.1515,
+    negative_center=13.8108,
+    decrease_slope=-0.06552,
+    decrease_center=-143.0,
+    increase_slope=0.1030,
+    increase_center=24.2000,
+    maintain_center=0.0571,
+    maintain_width=0.1779,
+    zero_center=0.0467,
+    zero_width=0.0620,
+)
+
+
+class MakeAdaptation(Protocol):
+    """Builds an adaptation from what a test wants to be different."""
+
+    def __call__(
+        self,
+        mode: str = ...,
+        kind: str = ...,
+        sets: FuzzySets = ...,
+        position_unit: float = ...,
+        yaw_unit: float = ...,
+        window_length: int = ...,
+        bounds: NoiseBounds = ...,
+    ) -> Adaptation: ...
+
+
+class MakeModel(Protocol):
+    """Builds a filter from what a test wants to be different."""
+
+    def __call__(
+        self,
+        motion_model: MotionModel = ...,
+        period_s: float = ...,
+        process_noise: tuple[float, float] = ...,
+        measurement_noise: tuple[float, float, float, float] = ...,
+        adaptation: Adaptation | None = ...,
+    ) -> FilterModel: ...
+
+
+WIDE_BOUNDS = NoiseBounds(
+    process_min=(1e-8, 1e-8),
+    process_max=(1e2, 1e2),
+    measurement_min=(1e-8, 1e-8, 1e-8, 1e-8),
+    measurement_max=(1e2, 1e2, 1e2, 1e2),
+)
+
+
+def build_adaptation(
+    mode: str = "r",
+    kind: str = "tsukamoto",
+    sets: FuzzySets = PUBLISHED,
+    position_unit: float = 1e-6,
+    yaw_unit: float = 1e-6,
+    window_length: int = 45,
+    bounds: NoiseBounds = WIDE_BOUNDS,
+) -> Adaptation:
+    """Return an adaptation in mm^2 and mrad^2 with limits nothing ordinary reaches."""
+    network = FuzzyNetwork(sets, position_unit, yaw_unit, change_limit=1e4)
+    return Adaptation(AdaptationMode(mode), InferenceKind(kind), network, window_length, bounds)
+
+
+def build_model(
+    motion_model: MotionModel = MotionModel.EXACT_ARC,
+    period_s: float = 0.375,
+    process_noise: tuple[float, float] = (4e-4, 3.046e-4),
+    measurement_noise: tuple[float, float, float, float] = (0.01, 0.01, 0.018, 0.018),
+    adaptation: Adaptation | None = None,
+) -> FilterModel:
+    """Return a filter with the noise of the paper's simulation 1; without adaptation."""
+    if adaptation is None:
+        adaptation = build_adaptation(mode="none")
+    return FilterModel(motion_model, period_s, process_noise, measurement_noise, adaptation)
+
+
+def build_covariances(rng: np.random.Generator, count: int, size: int) -> FloatArray:
+    """Return `(count, size, size)` symmetric positive definite matrices of ordinary condition."""
+    root = rng.standard_normal((count, size, size))
+    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(size)
+
+
+@pytest.fixture(scope="session")
+def initial() -> FuzzySets:
+    return INITIAL
+
+
+@pytest.fixture(scope="session")
+def published() -> FuzzySets:
+    return PUBLISHED
+
+
+@pytest.fixture(scope="session", params=[INITIAL, PUBLISHED], ids=["initial", "published"])
+def either_set(request: pytest.FixtureRequest) -> Any:
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def make_adaptation() -> MakeAdaptation:
+    return build_adaptation
+
+
+@pytest.fixture(scope="session")
+def make_model() -> MakeModel:
+    return build_model
+
+
+@pytest.fixture(scope="session")
+def random_covariances() -> Callable[[np.random.Generator, int, int], FloatArray]:
+    return build_covariances
+
+
+@pytest.fixture(scope="session")
+def textbook_step() -> Any:
+    """The independent EKF; loaded by its path, so that no import path has to be set up."""
+    path = Path(__file__).with_name("textbook_ekf.py")
+    spec = importlib.util.spec_from_file_location("textbook_ekf", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.textbook_step
