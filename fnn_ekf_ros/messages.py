@@ -185,6 +185,31 @@ def odometry_message(
     )
 
 
+def compass_message(stamp_ns: int, base_frame: str, yaw: float, yaw_std: float) -> Message:
+    """Return a sensor_msgs/Imu that knows a yaw [rad] and nothing else.
+
+    Args:
+        stamp_ns: ROS time [ns].
+        base_frame: frame of the sensor.
+        yaw: counter-clockwise from the map's x axis [rad].
+        yaw_std: its standard deviation [rad]; 0 for unknown.
+    """
+    variances = [UNUSED_VARIANCE, UNUSED_VARIANCE, max(yaw_std**2, UNUSED_VARIANCE)]
+    unknown = np.array([-1.0] + [0.0] * 8)
+    return Message(
+        COMPASS_TYPE,
+        {
+            "header": header(stamp_ns, base_frame),
+            "orientation": quaternion(yaw),
+            "orientation_covariance": np.diag(variances if yaw_std > 0.0 else [0.0] * 3).ravel(),
+            "angular_velocity": _vector(0.0, 0.0, 0.0),
+            "angular_velocity_covariance": unknown,
+            "linear_acceleration": _vector(0.0, 0.0, 0.0),
+            "linear_acceleration_covariance": unknown,
+        },
+    )
+
+
 def noise(estimate: Estimate) -> Message:
     """Return the numbers of `~/noise`; `NOISE_FIELDS` names them."""
     state, result = estimate.state, estimate.result
@@ -269,7 +294,9 @@ def pose_with_covariance(pose: FloatArray, covariance: FloatArray) -> Message:
 
 
 def quaternion(yaw: float) -> Message:
-    """Return the geometry_msgs/Quaternion of a turn about z [rad]."""
+    """Return the geometry_msgs/Quaternion of a turn about z [rad]; all zero for NaN, no yaw."""
+    if math.isnan(yaw):
+        return Message("geometry_msgs/msg/Quaternion", dict.fromkeys("xyzw", 0.0))
     return Message(
         "geometry_msgs/msg/Quaternion",
         {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * yaw), "w": math.cos(0.5 * yaw)},

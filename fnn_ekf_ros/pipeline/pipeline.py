@@ -97,6 +97,11 @@ class Pipeline:
         """Count an input that was refused before it became an event."""
         self._health.rejected(rejected)
 
+    def report(self) -> tuple[Status, ...]:
+        """Return the statuses as they are now."""
+        now_ns = self._checkpoints[-1].stamp_ns if self._checkpoints else 0
+        return self._health.report(now_ns, self._state(), None)
+
     def reset(self) -> None:
         """Forget the pose and all that was adapted, as at start-up."""
         self._checkpoints: deque[_Checkpoint] = deque()
@@ -123,6 +128,9 @@ class Pipeline:
         self._inputs = InputBuffer(self.parameters)
         self._changed_ns = _NEVER_NS
         self._now_ns = -_NEVER_NS
+
+    def _state(self) -> FilterState | Waiting:
+        return self._checkpoints[-1].state if self._checkpoints else Waiting(*self._start_noise)
 
     def _accepts(self, event: Event, now_ns: int) -> bool:
         lead_ns = event.stamp_ns - now_ns
@@ -217,7 +225,7 @@ class Pipeline:
     def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:
         if end_ns // HEALTH_INTERVAL_NS == (end_ns - self._period_ns) // HEALTH_INTERVAL_NS:
             return None
-        return self._health.report(end_ns, self._checkpoints[-1].state, estimate)
+        return self._health.report(end_ns, self._state(), estimate)
 
     def _forget(self) -> None:
         """Drop what lies further back than `history`."""

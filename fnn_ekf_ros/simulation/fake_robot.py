@@ -110,23 +110,7 @@ class FakeRobot:
     def _compass(self) -> Message:
         std = self.parameters.compass_std
         yaw = float(self._robot.pose[2]) + std * self._sensor_rng.standard_normal()
-        no_tilt = max(std**2, messages.UNUSED_VARIANCE)
-        zero = Message("geometry_msgs/msg/Vector3", {"x": 0.0, "y": 0.0, "z": 0.0})
-        unknown = np.array([-1.0] + [0.0] * 8)
-        return Message(
-            messages.COMPASS_TYPE,
-            {
-                "header": messages.header(self.stamp_ns, self.parameters.base_frame),
-                "orientation": messages.quaternion(yaw),
-                "orientation_covariance": np.diag(
-                    [messages.UNUSED_VARIANCE, messages.UNUSED_VARIANCE, no_tilt]
-                ).ravel(),
-                "angular_velocity": zero,
-                "angular_velocity_covariance": unknown,
-                "linear_acceleration": zero,
-                "linear_acceleration_covariance": unknown,
-            },
-        )
+        return messages.compass_message(self.stamp_ns, self.parameters.base_frame, yaw, std)
 
     def _lrf_pose(self) -> Message:
         std = np.asarray(self.parameters.lrf_std)

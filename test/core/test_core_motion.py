@@ -126,7 +126,8 @@ def taylor_sinc_derivative(h: float) -> float:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_sinc_and_its_derivative_on_both_sides_of_the_series_limit(sign: float) -> None:
-    for h in sign * np.concatenate([np.geomspace(1e-12, 1.0, 4001), np.linspace(9e-3, 1.1e-2, 201)]):
+    half_angles = np.concatenate([np.geomspace(1e-12, 1.0, 4001), np.linspace(9e-3, 1.1e-2, 201)])
+    for h in sign * half_angles:
         assert float(sinc(h)) == pytest.approx(taylor_sinc(h), rel=1e-15, abs=2.3e-16)
         assert float(sinc_derivative(h)) == pytest.approx(
             taylor_sinc_derivative(h), rel=1e-11, abs=0.0
@@ -238,14 +239,13 @@ def test_batches_equal_one_by_one(
     states = rng.uniform(-3.0, 3.0, (*state_batch, 3))
     controls = rng.uniform(-1.0, 1.0, (*control_batch, 2)) * np.array([1.0, 0.03])
     together = move(model, states, controls)
-    added = displacement(model, states[..., 2], controls)
-
     batch = np.broadcast_shapes(state_batch, control_batch)
     assert together.mean.shape == (*batch, 3)
     assert together.motion_jacobian.shape == (*batch, 3, 3)
     assert together.noise_jacobian.shape == (*batch, 3, 2)
     states = np.broadcast_to(states, (*batch, 3))
     controls = np.broadcast_to(controls, (*batch, 2))
+    added = displacement(model, states[..., 2], controls)
     for index in np.ndindex(*batch):
         alone = move(model, states[index], controls[index])
         for one, other in zip(together, alone, strict=True):

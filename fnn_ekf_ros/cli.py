@@ -1,0 +1,93 @@
+"""The executables: one table, one place where errors become one line."""
+
+import argparse
+import functools
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from fnn_ekf_ros.errors import FnnEkfError
+
+FAILURE = 1
+INTERRUPTED = 130
+
+
+class Command(NamedTuple):
+    """An executable.
+
+    Attributes:
+        module: has `run(arguments)`, and `add_arguments(parser)` or, for a node, `HELP`.
+        summary: what it does.
+        is_node: whether it takes ROS arguments.
+    """
+
+    module: str
+    summary: str
+    is_node: bool = False
+
+
+COMMANDS = {
+    "localizer": Command("fnn_ekf_ros.ros.localizer", "the localizer node", is_node=True),
+    "fake_robot": Command(
+        "fnn_ekf_ros.ros.fake_robot", "a simulated robot as a node", is_node=True
+    ),
+    "simulate": Command(
+        "fnn_ekf_ros.tools.simulate", "the simulated robot straight into a bag"
+    ),
+    "play": Command("fnn_ekf_ros.ros.play", "publish a recorded bag"),
+    "replay": Command("fnn_ekf_ros.tools.replay", "the localizer over a bag: bag in, bag out"),
+    "import-csv": Command("fnn_ekf_ros.tools.import_csv", "a CSV recording into a bag"),
+    "evaluate": Command("fnn_ekf_ros.tools.evaluate", "errors against a ground truth"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `python3 -m fnn_ekf_ros NAME ...`; returns the exit code."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    parser = argparse.ArgumentParser(
+        prog="fnn_ekf_ros",
+        description="Localization of two-wheeled robots by an EKF that finds its own noise.",
+        epilog="NAME --help tells more.",
+    )
+    names = parser.add_subparsers(metavar="NAME", required=True)
+    for name, command in COMMANDS.items():
+        names.add_parser(name, help=command.summary, add_help=False)
+    if not given or given[0] not in COMMANDS:
+        parser.parse_args(given)
+    return run_command(given[0], given[1:])
+
+
+def run_command(name: str, argv: Sequence[str] | None = None) -> int:
+    """Run one executable; returns the exit code.
+
+    A `FnnEkfError` ends here, as one line on stderr.
+    """
+    given = list(sys.argv[1:] if argv is None else argv)
+    command = COMMANDS[name]
+    try:
+        parser = argparse.ArgumentParser(prog=name, description=f"{command.summary}.")
+        module = importlib.import_module(command.module)
+        module.add_arguments(parser)
+        if command.is_node:
+            return int(module.run(parser, given))
+        return int(module.run(parser.parse_args(given)))
+    except FnnEkfError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return FAILURE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the output has gone; keep Python from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILURE
+
+
+localizer = functools.partial(run_command, "localizer")
+fake_robot = functools.partial(run_command, "fake_robot")
+simulate = functools.partial(run_command, "simulate")
+play = functools.partial(run_command, "play")
+replay = functools.partial(run_command, "replay")
+import_csv = functools.partial(run_command, "import-csv")
+evaluate = functools.partial(run_command, "evaluate")

@@ -1,0 +1,1 @@
+"""The commands that work on files; each module has `add_arguments` and `run`."""

@@ -1,0 +1,117 @@
+"""`evaluate BAG...`: errors of recorded odom against a recorded ground truth."""
+
+import argparse
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.bag_files import BagError, BagReader
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.tools.files import write_text
+from fnn_ekf_ros.tools.scoring import Score, Track, score
+
+_ROW = "{:<28} {:>7} {:>9} {:>9} {:>11} {:>13} {:>9}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("bags", metavar="BAG", type=Path, nargs="+", help="one run each")
+    parser.add_argument("--odom-topic", default="/odom", metavar="TOPIC", help="(/odom)")
+    parser.add_argument(
+        "--truth-topic", default="/ground_truth", metavar="TOPIC", help="(/ground_truth)"
+    )
+    parser.add_argument(
+        "--labels", nargs="+", metavar="LABEL", help="names of the runs, one for each bag"
+    )
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the numbers as JSON")
+    parser.add_argument("--plot", metavar="PNG", type=Path, help="draw tracks and errors")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    labels = arguments.labels or [str(path) for path in arguments.bags]
+    if len(labels) != len(arguments.bags):
+        raise FnnEkfError(f"--labels: {len(labels)} labels, expected {len(arguments.bags)}")
+    scores: dict[str, Score] = {}
+    tracks: dict[str, Track] = {}
+    truth = None
+    for label, path in zip(labels, arguments.bags, strict=True):
+        with BagReader(path) as bag:
+            truth = read_track(bag, arguments.truth_topic)
+            tracks[label] = read_track(bag, arguments.odom_topic)
+        result = score(tracks[label], truth)
+        if result is None:
+            raise BagError(
+                f"bag '{path}': {arguments.odom_topic} and {arguments.truth_topic} have no time "
+                "in common"
+            )
+        scores[label] = result
+    print(format_table(scores))
+    if arguments.json is not None:
+        write_text(arguments.json, json.dumps(_plain(scores), indent=2) + "\n")
+    if arguments.plot is not None and truth is not None:
+        from fnn_ekf_ros.tools.plots import plot_tracks
+
+        plot_tracks(arguments.plot, truth, tracks)
+    return 0
+
+
+def read_track(bag: BagReader, topic: str) -> Track:
+    """Return the poses of a nav_msgs/Odometry topic in the order of their stamps.
+
+    Raises:
+        BagError: no such topic, another type, or no message.
+    """
+    found = bag.topics.get(topic)
+    if found is None or found.type_name != messages.ODOMETRY_TYPE:
+        kind = "missing" if found is None else f"of type {found.type_name}"
+        raise BagError(
+            f"bag '{bag.path}': topic {topic} is {kind}, expected {messages.ODOMETRY_TYPE}; "
+            f"it has {', '.join(sorted(bag.topics)) or 'no topics'}"
+        )
+    stamps, poses, covariances = [], [], []
+    for record in bag.records({topic}):
+        message = bag.message(record)
+        stamps.append(messages.stamp_ns(message))
+        poses.append(messages.planar_pose(message))
+        covariances.append(messages.planar_block(message.pose.covariance))
+    if not stamps:
+        raise BagError(f"bag '{bag.path}': topic {topic} is empty")
+    time_ns, first = np.unique(np.array(stamps), return_index=True)
+    return Track(time_ns, np.array(poses)[first], np.array(covariances)[first])
+
+
+def format_table(scores: Mapping[str, Score]) -> str:
+    """Return the scores as a table, one line for each run."""
+    lines = [
+        _ROW.format(
+            "run", "odoms", "RMSE x", "RMSE y", "RMSE theta", "RMSE position", "mean NEES"
+        ),
+        _ROW.format("", "", "[m]", "[m]", "[rad]", "[m]", "(3)"),
+    ]
+    lines += [
+        _ROW.format(label, s.count, *_texts(s.rmse_x, s.rmse_y, s.rmse_theta, s.rmse_position),
+                    "n/a" if math.isnan(s.mean_nees) else f"{s.mean_nees:.2f}")
+        for label, s in scores.items()
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _texts(*values: float) -> Sequence[str]:
+    return ["n/a" if math.isnan(value) else f"{value:.4f}" for value in values]
+
+
+def _plain(scores: Mapping[str, Score]) -> dict[str, dict[str, float | None]]:
+    """Return the scores as JSON can hold them; null where a number is not known."""
+    return {
+        label: {
+            key: None if isinstance(value, float) and math.isnan(value) else value
+            for key, value in asdict(s).items()
+        }
+        for label, s in scores.items()
+    }

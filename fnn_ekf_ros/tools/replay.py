@@ -1,0 +1,175 @@
+"""`replay IN OUT`: the localizer's own pipeline over a recording, bag in, bag out."""
+
+import argparse
+import time
+from pathlib import Path
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.bag_files import STORAGES, BagError, BagReader, BagWriter, Record
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.parameters.files import render_parameter_file
+from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix, Rejected
+from fnn_ekf_ros.pipeline.pipeline import Pipeline
+from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
+from fnn_ekf_ros.tools.progress import with_progress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("bag", metavar="IN", type=Path, help="the recording to replay")
+    parser.add_argument("out", metavar="OUT", type=Path, help="the bag to write (a new folder)")
+    add_parameter_arguments(parser)
+    parser.add_argument(
+        "-r", dest="remappings", metavar="FROM:=TO", action="append", default=[],
+        help="the topic the recording has for one of the localizer's, as in ros2 run",
+    )  # fmt: skip
+    parser.add_argument(
+        "--dead-reckoning", action="store_true",
+        help="wheels only: ignore fixes and compass once the filter has started, to compare with",
+    )  # fmt: skip
+    parser.add_argument("--storage", choices=STORAGES, default="mcap", help="format (mcap)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
+    network = read_membership(parameters.membership_file)
+    names = _Names(arguments.remappings)
+    began = time.monotonic()
+    with BagReader(arguments.bag) as bag:
+        inputs = _inputs_in(bag, parameters, names)
+        outputs = {names.of(topic) for topic in (messages.ODOM, messages.NOISE)}
+        outputs.add(messages.DIAGNOSTICS)
+        notes = {NODE_NAME: render_parameter_file(parameters, NODE_NAME)}
+        with BagWriter(arguments.out, arguments.storage, notes) as out:
+            for topic in bag.topics.values():
+                if topic.name not in outputs:
+                    out.add_topic(topic)
+            pipeline = Pipeline(parameters, network)
+            filter_ = _DeadReckoning() if arguments.dead_reckoning else None
+            estimates = 0
+            records = with_progress(bag.records(), bag.message_count, "replay")
+            for record in records:
+                if record.topic in outputs:
+                    continue
+                out.write_raw(record)
+                if record.topic not in inputs:
+                    closed = pipeline.advance(record.time_ns)
+                else:
+                    closed = _feed(pipeline, bag, record, inputs[record.topic], filter_)
+                for output in closed:
+                    estimates += _write(out, names, output, record.time_ns, parameters)
+            if not estimates:
+                raise BagError(
+                    f"bag '{arguments.bag}' gives no odom: expected encoders, fixes and a yaw "
+                    f"that start the filter; {_last_words(pipeline)}"
+                )
+            duration = bag.duration_s
+    took = time.monotonic() - began
+    print(
+        f"{arguments.out}: {estimates} odom from {duration:.1f} s of recording in {took:.1f} s "
+        f"({duration / took:.0f} times real time)"
+    )
+    return 0
+
+
+class _Names:
+    """Topic names of the localizer, remapped."""
+
+    def __init__(self, remappings: list[str]) -> None:
+        self._to: dict[str, str] = {}
+        for text in remappings:
+            source, separator, target = text.partition(":=")
+            if not (separator and source and target):
+                raise FnnEkfError(f"-r {text}: expected FROM:=TO")
+            self._to[_absolute(source)] = _absolute(target)
+
+    def of(self, topic: str) -> str:
+        """Return the absolute name of one of the localizer's topics."""
+        name = f"/{NODE_NAME}/{topic}" if topic == messages.NOISE else _absolute(topic)
+        return self._to.get(name, name)
+
+
+class _DeadReckoning:
+    """Lets measurements pass until the filter has started."""
+
+    def __init__(self) -> None:
+        self.started = False
+
+    def blocks(self, event: object) -> bool:
+        return self.started and isinstance(event, CompassYaw | PoseFix)
+
+
+def _absolute(topic: str) -> str:
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def _inputs_in(bag: BagReader, parameters: LocalizerParameters, names: _Names) -> dict[str, str]:
+    """Return the localizer's topic for each of the recording's that it listens to."""
+    inputs = {}
+    for topic in messages.input_topics(parameters):
+        name = names.of(topic)
+        found = bag.topics.get(name)
+        expected = messages.INPUT_TYPES[topic]
+        if found is not None:
+            if found.type_name != expected:
+                raise BagError(
+                    f"bag '{bag.path}': topic {name} is {found.type_name}, expected {expected}"
+                )
+            inputs[name] = topic
+        elif topic not in (messages.COMPASS, messages.INITIAL_POSE):
+            raise BagError(
+                f"bag '{bag.path}' has no topic {name} ({expected}): it has "
+                f"{', '.join(sorted(bag.topics)) or 'none'}; -r {topic}:=NAME takes another"
+            )
+    return inputs
+
+
+def _feed(
+    pipeline: Pipeline,
+    bag: BagReader,
+    record: Record,
+    topic: str,
+    dead_reckoning: _DeadReckoning | None,
+) -> list[Output]:
+    events = messages.read_input(
+        topic, bag.message(record), record.time_ns, pipeline.parameters
+    )
+    if isinstance(events, Rejected):
+        pipeline.reject(events)
+        return pipeline.advance(record.time_ns)
+    closed: list[Output] = []
+    for event in events:
+        if dead_reckoning is None or not dead_reckoning.blocks(event):
+            closed += pipeline.add(event, record.time_ns)
+    if dead_reckoning is not None:
+        dead_reckoning.started |= any(output.estimate is not None for output in closed)
+    return closed
+
+
+def _write(
+    out: BagWriter, names: _Names, output: Output, time_ns: int, parameters: LocalizerParameters
+) -> int:
+    """Write what a closed period gives; returns the number of odom messages."""
+    estimate = output.estimate
+    if estimate is not None:
+        odometry = messages.odometry(estimate, parameters.frame_id, parameters.base_frame)
+        out.write(names.of(messages.ODOM), odometry, time_ns)
+        out.write(names.of(messages.NOISE), messages.noise(estimate), time_ns)
+    if output.health is not None:
+        diagnostics = messages.diagnostics(output.stamp_ns, NODE_NAME, output.health)
+        out.write(messages.DIAGNOSTICS, diagnostics, time_ns)
+    return int(estimate is not None)
+
+
+def _last_words(pipeline: Pipeline) -> str:
+    return "; ".join(
+        f"{status.name}: {status.message}"
+        for status in pipeline.report()
+        if status.level > 0
+    )
+
+

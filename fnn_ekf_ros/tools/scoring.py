@@ -1,0 +1,94 @@
+"""Errors of an estimated track against a true one."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import FloatArray
+
+LONGEST_TRUTH_GAP_S = 2.0
+"""Truth is not interpolated across longer gaps [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Poses over time.
+
+    Attributes:
+        time_ns: `(n,)` increasing [ns].
+        pose: `(n, 3)` [x, y, yaw] (m, m, rad); NaN yaw where it is not known.
+        covariance: `(n, 3, 3)`; zeros where it is not known.
+    """
+
+    time_ns: np.ndarray
+    pose: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How far an estimate was off.
+
+    Attributes:
+        count: number of poses compared.
+        rmse_x: root mean square error along the map's x [m].
+        rmse_y: along its y [m].
+        rmse_theta: of the yaw [rad]; NaN if truth has none.
+        rmse_position: of the distance [m].
+        mean_nees: mean of e' P^-1 e; NaN if truth has no yaw. Its expectation is 3.
+    """
+
+    count: int
+    rmse_x: float
+    rmse_y: float
+    rmse_theta: float
+    rmse_position: float
+    mean_nees: float
+
+
+def interpolate(truth: Track, time_ns: np.ndarray) -> FloatArray:
+    """Return the true poses `(n, 3)` at times [ns]; NaN outside of the track and in its gaps."""
+    after = np.clip(np.searchsorted(truth.time_ns, time_ns), 1, len(truth.time_ns) - 1)
+    before = after - 1
+    gap_ns = truth.time_ns[after] - truth.time_ns[before]
+    part = (time_ns - truth.time_ns[before]) / gap_ns
+    change = truth.pose[after] - truth.pose[before]
+    change[:, 2] = wrap_angle(change[:, 2])
+    pose = truth.pose[before] + part[:, None] * change
+    outside = (part < 0.0) | (part > 1.0) | (gap_ns > LONGEST_TRUTH_GAP_S * 1e9)
+    pose[outside] = math.nan
+    return pose
+
+
+def score(estimate: Track, truth: Track) -> Score | None:
+    """Return the errors at every pose of the estimate for which truth is known; None if none is.
+
+    Nothing is aligned: both are taken as poses in the same frame.
+    """
+    if len(truth.time_ns) < 2 or not len(estimate.time_ns):
+        return None
+    true_pose = interpolate(truth, estimate.time_ns)
+    known = np.isfinite(true_pose[:, 0])
+    if not np.any(known):
+        return None
+    error = estimate.pose[known] - true_pose[known]
+    error[:, 2] = wrap_angle(error[:, 2])
+    with_yaw = np.isfinite(error[:, 2])
+    rmse = np.sqrt(np.mean(error[:, :2] ** 2, axis=0))
+    theta = nees = math.nan
+    if np.any(with_yaw):
+        e = error[with_yaw]
+        theta = float(np.sqrt(np.mean(e[:, 2] ** 2)))
+        P = estimate.covariance[known][with_yaw]
+        if np.all(np.linalg.det(P) > 0.0):
+            nees = float(np.mean(np.sum(e * np.linalg.solve(P, e[..., None])[..., 0], axis=-1)))
+    return Score(
+        count=int(np.sum(known)),
+        rmse_x=float(rmse[0]),
+        rmse_y=float(rmse[1]),
+        rmse_theta=theta,
+        rmse_position=float(np.hypot(*rmse)),
+        mean_nees=nees,
+    )

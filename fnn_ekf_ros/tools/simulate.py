@@ -1,0 +1,86 @@
+"""`simulate OUT`: the fake robot straight into a rosbag2, faster than real time."""
+
+import argparse
+from pathlib import Path
+
+from fnn_ekf_ros.bag_files import STORAGES, BagWriter, refuse_existing
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.fake_robot import (
+    NODE_NAME,
+    FakeRobotParameters,
+    build_fake_robot,
+)
+from fnn_ekf_ros.parameters.files import render_parameter_file
+from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.simulation.fake_robot import STEP_NS, FakeRobot
+from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
+from fnn_ekf_ros.tools.files import parameter_file_beside, write_text
+from fnn_ekf_ros.tools.progress import with_progress
+
+START_NS = 3 * 10**9
+"""ROS time at which simulated recordings start: eight periods [ns]."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("out", metavar="OUT", type=Path, help="the bag to write (a new folder)")
+    parser.add_argument(
+        "--duration", type=float, default=300.0, metavar="S", help="length [s] (300)"
+    )
+    parser.add_argument("--storage", choices=STORAGES, default="mcap", help="format (mcap)")
+    add_parameter_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    parameters = build_fake_robot(given_parameters(arguments, NODE_NAME))
+    if not STEP_NS * 1e-9 <= arguments.duration <= 1e6:
+        raise FnnEkfError(
+            f"--duration {arguments.duration:g}: expected {STEP_NS * 1e-9:g} to 1e6 seconds"
+        )
+    if parameters.path == "cmd_vel":
+        raise FnnEkfError("path 'cmd_vel': simulate has no cmd_vel to listen to; choose a path")
+    steps = round(arguments.duration * 1e9) // STEP_NS
+    beside = parameter_file_beside(arguments.out)
+    refuse_existing(beside)
+    text = render_parameter_file(parameters, NODE_NAME)
+    robot = FakeRobot(parameters, START_NS)
+    with BagWriter(arguments.out, arguments.storage, {"fake_robot": text}) as bag:
+        for _ in with_progress(range(steps), steps, "simulate"):
+            for sent in robot.step():
+                bag.write(f"/{sent.topic}", sent.message, robot.stamp_ns)
+    write_text(
+        beside,
+        render_parameter_file(
+            matching_localizer(parameters),
+            LOCALIZER,
+            f"Geometry and true noise of the robot in {arguments.out.name}.",
+        ),
+    )
+    print(
+        f"{arguments.out}: {arguments.duration:g} s of path '{parameters.path}', seed "
+        f"{parameters.seed}; {beside}: matching localizer parameters"
+    )
+    return 0
+
+
+def matching_localizer(robot: FakeRobotParameters) -> LocalizerParameters:
+    """Return localizer parameters with the fake robot's geometry and its true noise."""
+    smallest = LocalizerParameters.__dataclass_fields__["measurement_noise_std_min"].default
+    lrf_x, lrf_y, lrf_yaw = (max(std, low) for std, low in zip(robot.lrf_std, smallest))
+    forward, turn = robot.slip_std
+    return LocalizerParameters(
+        wheel_radius=robot.wheel_radius,
+        wheel_separation=robot.wheel_separation,
+        gear_ratio=robot.gear_ratio,
+        encoder_counts_per_revolution=robot.encoder_counts_per_revolution,
+        encoder_bits=robot.encoder_bits,
+        left_joint=robot.left_joint,
+        right_joint=robot.right_joint,
+        process_noise_std=(max(forward, 1e-3), max(turn, 1e-3)),
+        measurement_noise_std=(lrf_x, lrf_y, max(robot.compass_std, smallest[2])),
+        lrf_yaw_std=lrf_yaw,
+        frame_id=robot.frame_id,
+        base_frame=robot.base_frame,
+    )
