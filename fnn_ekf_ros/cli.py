@@ -18,9 +18,9 @@ class Command(NamedTuple):
     """An executable.
 
     Attributes:
-        module: has `run(arguments)`, and `add_arguments(parser)` or, for a node, `HELP`.
+        module: has `add_arguments(parser)` and `run(arguments)`.
         summary: what it does.
-        is_node: whether it takes ROS arguments.
+        is_node: whether `run` takes the list of ROS arguments instead.
     """
 
     module: str
@@ -70,9 +70,9 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
         parser = argparse.ArgumentParser(prog=name, description=f"{command.summary}.")
         module = importlib.import_module(command.module)
         module.add_arguments(parser)
-        if command.is_node:
-            return int(module.run(parser, given))
-        return int(module.run(parser.parse_args(given)))
+        own, ros_arguments = _split(given) if command.is_node else (given, [])
+        arguments = parser.parse_args(own)
+        return int(module.run(ros_arguments if command.is_node else arguments))
     except FnnEkfError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return FAILURE
@@ -82,6 +82,20 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
         # Whoever read the output has gone; keep Python from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
+
+
+def _split(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return a node's own arguments and its ROS arguments, `--ros-args ... [--]`."""
+    own: list[str] = []
+    ros: list[str] = []
+    in_ros = False
+    for argument in argv:
+        if argument == "--ros-args":
+            in_ros = True
+        (ros if in_ros else own).append(argument)
+        if argument == "--":
+            in_ros = False
+    return own, ros
 
 
 localizer = functools.partial(run_command, "localizer")

@@ -100,11 +100,15 @@ class Message(NamedTuple):
 
 
 def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:
-    """Return the topics that a localizer with these parameters listens to."""
+    """Return the topics that a localizer with these parameters listens to.
+
+    The encoders come last: they close periods, and of messages that wait together those of the
+    topics that were subscribed to first are taken first.
+    """
     wheels = (JOINT_STATES,) if parameters.encoder_source == "joint_states" else (
         LEFT_TICKS, RIGHT_TICKS,
     )  # fmt: skip
-    return (*wheels, COMPASS, LRF_POSE, INITIAL_POSE)
+    return (COMPASS, LRF_POSE, INITIAL_POSE, *wheels)
 
 
 def read_input(

@@ -3,7 +3,7 @@
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,34 +51,6 @@ PUBLISHED = FuzzySets(
     zero_center=0.0467,
     zero_width=0.0620,
 )
-
-
-class MakeAdaptation(Protocol):
-    """Builds an adaptation from what a test wants to be different."""
-
-    def __call__(
-        self,
-        mode: str = ...,
-        kind: str = ...,
-        sets: FuzzySets = ...,
-        position_unit: float = ...,
-        yaw_unit: float = ...,
-        window_length: int = ...,
-        bounds: NoiseBounds = ...,
-    ) -> Adaptation: ...
-
-
-class MakeModel(Protocol):
-    """Builds a filter from what a test wants to be different."""
-
-    def __call__(
-        self,
-        motion_model: MotionModel = ...,
-        period_s: float = ...,
-        process_noise: tuple[float, float] = ...,
-        measurement_noise: tuple[float, float, float, float] = ...,
-        adaptation: Adaptation | None = ...,
-    ) -> FilterModel: ...
 
 
 WIDE_BOUNDS = NoiseBounds(
@@ -138,12 +110,12 @@ def either_set(request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture(scope="session")
-def make_adaptation() -> MakeAdaptation:
+def make_adaptation() -> Callable[..., Adaptation]:
     return build_adaptation
 
 
 @pytest.fixture(scope="session")
-def make_model() -> MakeModel:
+def make_model() -> Callable[..., FilterModel]:
     return build_model
 
 
@@ -157,7 +129,8 @@ def textbook_step() -> Any:
     """The independent EKF; loaded by its path, so that no import path has to be set up."""
     path = Path(__file__).with_name("textbook_ekf.py")
     spec = importlib.util.spec_from_file_location("textbook_ekf", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.textbook_step

@@ -1,11 +1,18 @@
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fnn_ekf_ros.core.adaptation import LARGEST_DECREASE, Adapted, NoiseBounds, adapt
+from fnn_ekf_ros.core.adaptation import (
+    LARGEST_DECREASE,
+    Adaptation,
+    Adapted,
+    NoiseBounds,
+    adapt,
+)
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.fuzzy import FuzzySets, infer, infer_centroid
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window, mean_square, push
@@ -28,7 +35,7 @@ def filled_window(squares: FloatArray, length: int = 45, filled: int = 45) -> In
 
 
 def run(
-    adaptation: object,
+    adaptation: Adaptation,
     S: FloatArray,
     C: FloatArray,
     available: BoolArray = ALL_ROWS,
@@ -36,7 +43,7 @@ def run(
     filled: int = 45,
 ) -> Adapted:
     window = filled_window(C, filled=filled)
-    return adapt(adaptation, Q, R, window, S, available, np.array(heading))  # type: ignore[arg-type]
+    return adapt(adaptation, Q, R, window, S, available, np.array(heading))
 
 
 S = np.array([0.020, 0.030, 0.040, 0.050])
@@ -45,7 +52,7 @@ C_HAT = np.array([0.021, 0.029, 0.0405, 0.047])
 
 @pytest.mark.parametrize("kind", ["tsukamoto", "centroid"])
 def test_mode_r_moves_every_row_by_its_fuzzy_output_in_its_unit(
-    make_adaptation, either_set: FuzzySets, kind: str
+    make_adaptation: Callable[..., Adaptation], either_set: FuzzySets, kind: str
 ) -> None:
     adaptation = make_adaptation(
         mode="r", kind=kind, sets=either_set, position_unit=2e-6, yaw_unit=5e-7
@@ -66,13 +73,13 @@ def test_mode_r_moves_every_row_by_its_fuzzy_output_in_its_unit(
     assert after.process_noise.tobytes() == Q.tobytes()
 
 
-def test_mode_r_in_millimetres_by_hand(make_adaptation) -> None:
+def test_mode_r_in_millimetres_by_hand(make_adaptation: Callable[..., Adaptation]) -> None:
     """C_hat 1000 mm^2 above S: I at 24.2 + .1515 / .103 * (1000 - 13.8108) = 1474.76 mm^2."""
     after = run(make_adaptation(mode="r"), S, S + 1e-3)
     np.testing.assert_allclose(after.measurement_noise - R, 1474.76e-6, rtol=1e-5)
 
 
-def test_one_row_does_not_touch_the_others(make_adaptation) -> None:
+def test_one_row_does_not_touch_the_others(make_adaptation: Callable[..., Adaptation]) -> None:
     base = run(make_adaptation(mode="r"), S, C_HAT).measurement_noise
     for row in range(4):
         C = C_HAT.copy()
@@ -83,7 +90,7 @@ def test_one_row_does_not_touch_the_others(make_adaptation) -> None:
 
 @pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 2.0, 2.0, -3.0])
 def test_mode_q_projects_the_mismatch_on_the_way(
-    make_adaptation, published: FuzzySets, heading: float
+    make_adaptation: Callable[..., Adaptation], published: FuzzySets, heading: float
 ) -> None:
     adaptation = make_adaptation(mode="q", position_unit=2e-6, yaw_unit=5e-7)
     C = S + np.array([1e-4, 3e-4, 2e-4, 5e-4])
@@ -105,7 +112,9 @@ def test_mode_q_projects_the_mismatch_on_the_way(
     assert np.all(after.firing_strength[[1, 3]] == 0.0)
 
 
-def test_mode_q_by_centroid(make_adaptation, published: FuzzySets) -> None:
+def test_mode_q_by_centroid(
+    make_adaptation: Callable[..., Adaptation], published: FuzzySets
+) -> None:
     adaptation = make_adaptation(mode="q", kind="centroid")
     after = run(adaptation, S, S + 1e-4, heading=0.0)
     change = float(infer_centroid(published, after.mismatch[0] / 1e-6, 1e4).change) * 1e-6
@@ -125,7 +134,11 @@ def test_mode_q_by_centroid(make_adaptation, published: FuzzySets) -> None:
     ],
 )
 def test_mode_q_uses_only_what_was_measured(
-    make_adaptation, published: FuzzySets, rows: list[int], forward_moves: bool, yaw_row: int | None
+    make_adaptation: Callable[..., Adaptation],
+    published: FuzzySets,
+    rows: list[int],
+    forward_moves: bool,
+    yaw_row: int | None,
 ) -> None:
     """Forward needs both x and y; heading the compass, else the laser's yaw."""
     available = np.isin(np.arange(4), rows)
@@ -142,7 +155,9 @@ def test_mode_q_uses_only_what_was_measured(
 
 
 @pytest.mark.parametrize("mode", ["r", "q"])
-def test_nothing_moves_without_a_measurement(make_adaptation, mode: str) -> None:
+def test_nothing_moves_without_a_measurement(
+    make_adaptation: Callable[..., Adaptation], mode: str
+) -> None:
     after = run(make_adaptation(mode=mode), S, C_HAT + 1.0, np.zeros(4, dtype=np.bool_))
     assert after.process_noise.tobytes() == Q.tobytes()
     assert after.measurement_noise.tobytes() == R.tobytes()
@@ -150,7 +165,9 @@ def test_nothing_moves_without_a_measurement(make_adaptation, mode: str) -> None
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_mode_r_leaves_unmeasured_rows_bit_for_bit(make_adaptation, row: int) -> None:
+def test_mode_r_leaves_unmeasured_rows_bit_for_bit(
+    make_adaptation: Callable[..., Adaptation], row: int
+) -> None:
     available = np.arange(4) != row
     after = run(make_adaptation(mode="r"), S, C_HAT + 1e-3, available)
     unmoved = after.measurement_noise == R
@@ -161,7 +178,7 @@ def test_mode_r_leaves_unmeasured_rows_bit_for_bit(make_adaptation, row: int) ->
 @pytest.mark.parametrize(("filled", "teaches"), [(1, False), (14, False), (15, True), (45, True)])
 @pytest.mark.parametrize("mode", ["r", "q"])
 def test_row_teaches_once_a_third_of_its_window_is_filled(
-    make_adaptation, mode: str, filled: int, teaches: bool
+    make_adaptation: Callable[..., Adaptation], mode: str, filled: int, teaches: bool
 ) -> None:
     after = run(make_adaptation(mode=mode), S, C_HAT + 1e-3, filled=filled)
     noise, before = (
@@ -171,7 +188,7 @@ def test_row_teaches_once_a_third_of_its_window_is_filled(
 
 
 def test_mode_none_leaves_the_noise_bit_for_bit_and_still_reports_the_mismatch(
-    make_adaptation,
+    make_adaptation: Callable[..., Adaptation],
 ) -> None:
     after = run(make_adaptation(mode="none", bounds=TIGHT), S, C_HAT + 1.0)
     assert after.process_noise.tobytes() == Q.tobytes()
@@ -180,14 +197,18 @@ def test_mode_none_leaves_the_noise_bit_for_bit_and_still_reports_the_mismatch(
     assert np.all(after.firing_strength == 0.0)
 
 
-def test_rows_that_have_seen_nothing_have_no_mismatch(make_adaptation) -> None:
+def test_rows_that_have_seen_nothing_have_no_mismatch(
+    make_adaptation: Callable[..., Adaptation],
+) -> None:
     window = push(empty_window(45), np.ones(4), np.array([True, False, True, False]))
     after = adapt(make_adaptation(mode="r"), Q, R, window, S, ALL_ROWS, np.array(0.0))
     np.testing.assert_allclose(after.mismatch, [S[0] - 1.0, 0.0, S[2] - 1.0, 0.0])
 
 
 @pytest.mark.parametrize("mode", ["r", "q"])
-def test_one_step_takes_away_three_quarters_at_most(make_adaptation, mode: str) -> None:
+def test_one_step_takes_away_three_quarters_at_most(
+    make_adaptation: Callable[..., Adaptation], mode: str
+) -> None:
     assert LARGEST_DECREASE == 0.75
     after = run(make_adaptation(mode=mode), S + 10.0, C_HAT)
     noise, before = (
@@ -198,18 +219,18 @@ def test_one_step_takes_away_three_quarters_at_most(make_adaptation, mode: str) 
 
 @pytest.mark.parametrize("mode", ["r", "q"])
 @pytest.mark.parametrize("excess", [10.0, -10.0])
-def test_bounds_hold(make_adaptation, mode: str, excess: float) -> None:
+def test_bounds_hold(make_adaptation: Callable[..., Adaptation], mode: str, excess: float) -> None:
     after = run(make_adaptation(mode=mode, bounds=TIGHT), S + np.maximum(excess, 0.0),
                 C_HAT + np.maximum(-excess, 0.0))  # fmt: skip
     if mode == "r":
         limit = TIGHT.measurement_min if excess > 0.0 else TIGHT.measurement_max
         np.testing.assert_array_equal(after.measurement_noise, limit)
     else:
-        limit = TIGHT.process_min if excess > 0.0 else TIGHT.process_max
-        np.testing.assert_array_equal(after.process_noise, limit)
+        largest_or_smallest = TIGHT.process_min if excess > 0.0 else TIGHT.process_max
+        np.testing.assert_array_equal(after.process_noise, largest_or_smallest)
 
 
-def test_each_variance_has_its_own_bound(make_adaptation) -> None:
+def test_each_variance_has_its_own_bound(make_adaptation: Callable[..., Adaptation]) -> None:
     bounds = NoiseBounds((1e-5, 2e-5), (3e-2, 4e-2), (1e-5,) * 4, (0.02, 0.03, 0.04, 0.05))
     raised = run(make_adaptation(mode="r", bounds=bounds), S, C_HAT + 1.0)
     np.testing.assert_array_equal(raised.measurement_noise, bounds.measurement_max)
@@ -233,7 +254,7 @@ MAGNITUDE = st.one_of(
     st.floats(min_value=-4.0, max_value=4.0),
 )
 def test_noise_stays_positive_and_inside_its_bounds_whatever_comes(
-    make_adaptation,
+    make_adaptation: Callable[..., Adaptation],
     either_set: FuzzySets,
     mode: str,
     kind: str,
@@ -260,13 +281,13 @@ def test_noise_stays_positive_and_inside_its_bounds_whatever_comes(
                 (measurement_noise, TIGHT.measurement_min, TIGHT.measurement_max),
             ):
                 assert np.all(np.isfinite(noise))
-                assert np.all(noise >= np.array(low)) and np.all(noise <= np.array(high))
+                assert np.all((noise >= np.array(low)) & (noise <= np.array(high)))
             assert np.all(np.isfinite(after.firing_strength))
 
 
 @pytest.mark.parametrize("mode", ["none", "r", "q"])
 def test_batches_equal_one_by_one_and_arguments_are_not_changed(
-    make_adaptation, mode: str
+    make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
     rng = np.random.default_rng(50)
     batch = (2, 3)

@@ -85,6 +85,7 @@ def test_huge_angle_stays_inside_and_is_as_right_as_its_last_digit(angle: float)
 def test_arrays_keep_their_shape_and_each_entry_is_wrapped_alone() -> None:
     angles = np.linspace(-20.0, 20.0, 24).reshape(2, 3, 4)
     wrapped = wrap_angle(angles)
-    assert wrapped.shape == angles.shape and wrapped.dtype == np.float64
+    assert wrapped.shape == angles.shape
+    assert wrapped.dtype == np.float64
     for index in np.ndindex(*angles.shape):
         assert wrapped[index] == wrap_angle(angles[index])

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.filter import (
     NOMINAL_PERIOD_S,
@@ -74,7 +75,7 @@ def one_of_batch(value: Any, index: tuple[int, ...]) -> Any:
 
 @pytest.mark.parametrize("mode", ["none", "r", "q"])
 def test_step_changes_none_of_its_arguments_and_repeats_itself(
-    make_model: Any, make_adaptation: Any, mode: str
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
     model = make_model(adaptation=make_adaptation(mode=mode, window_length=6))
     state = start_filter(model, START, START_COVARIANCE)
@@ -91,7 +92,10 @@ def test_step_changes_none_of_its_arguments_and_repeats_itself(
 @pytest.mark.parametrize("mode", ["none", "r", "q"])
 @BOTH_MODELS
 def test_batch_equals_single_filters(
-    make_model: Any, make_adaptation: Any, mode: str, model: MotionModel
+    make_model: Callable[..., FilterModel],
+    make_adaptation: Callable[..., Adaptation],
+    mode: str,
+    model: MotionModel,
 ) -> None:
     batch = (2, 2)
     filter_model = make_model(
@@ -111,7 +115,9 @@ def test_batch_equals_single_filters(
                 np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
-def test_one_period_serves_a_whole_batch(make_model: Any, make_adaptation: Any) -> None:
+def test_one_period_serves_a_whole_batch(
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation]
+) -> None:
     """Filters with different noise beside each other share what the sensors said."""
     model = make_model(adaptation=make_adaptation(mode="r", window_length=6))
     noise = np.array([0.2, 1.0, 5.0])[:, None] * np.array(model.measurement_noise)
@@ -119,14 +125,17 @@ def test_one_period_serves_a_whole_batch(make_model: Any, make_adaptation: Any) 
     spread = shared
     for period in random_periods(np.random.default_rng(62), 20):
         period = period._replace(control_at_measurement=None)
-        copies = StepInput(*(None if a is None else np.stack([a] * 3) for a in period))
+        copied: list[Any] = [None if a is None else np.stack([a] * 3) for a in period]
+        copies = StepInput(*copied)
         shared, spread = step(model, shared, period)[0], step(model, spread, copies)[0]
         for one, other in zip(arrays_of(shared), arrays_of(spread), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.xfail(strict=True, reason="displacement() does not broadcast headings over controls")
-def test_one_period_with_late_measurements_serves_a_whole_batch(make_model: Any) -> None:
+def test_one_period_with_late_measurements_serves_a_whole_batch(
+    make_model: Callable[..., FilterModel],
+) -> None:
     model = make_model()
     state = start_filter(model, np.tile(START, (3, 1)), START_COVARIANCE)
     step(model, state, random_periods(np.random.default_rng(63), 1)[0])
@@ -134,7 +143,7 @@ def test_one_period_with_late_measurements_serves_a_whole_batch(make_model: Any)
 
 @BOTH_MODELS
 def test_without_adaptation_the_run_equals_the_textbook_filter(
-    make_model: Any, textbook_step: Any, model: MotionModel
+    make_model: Callable[..., FilterModel], textbook_step: Any, model: MotionModel
 ) -> None:
     """The steps together: prediction with Q of the period, correction with R, masks."""
     filter_model = make_model(motion_model=model, period_s=0.15)
@@ -161,7 +170,7 @@ def test_without_adaptation_the_run_equals_the_textbook_filter(
 
 @pytest.mark.parametrize("mode", ["r", "q"])
 def test_adaptation_changes_nothing_before_it_has_learned_something(
-    make_model: Any, make_adaptation: Any, mode: str
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
     """The first step of the adapted noise is the one after the window is ready."""
     adaptive = make_model(adaptation=make_adaptation(mode=mode, window_length=45))
@@ -191,7 +200,7 @@ def arc_pose(start: FloatArray, control: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("heading", [0.5, 3.1, -2.0])
 def test_measurements_inside_the_period_are_carried_exactly_along_an_arc(
-    make_model: Any, heading: float
+    make_model: Callable[..., FilterModel], heading: float
 ) -> None:
     """Noise-free arc, every row sampled at another instant: no innovation is left."""
     model, parts = make_model(), (0.1, 0.45, 0.7, 1.0)
@@ -210,7 +219,7 @@ def test_measurements_inside_the_period_are_carried_exactly_along_an_arc(
 
 @BOTH_MODELS
 def test_carrying_adds_the_motion_since_the_measurement(
-    make_model: Any, model: MotionModel
+    make_model: Callable[..., FilterModel], model: MotionModel
 ) -> None:
     """What is added is the model's own way from the instant to the end, per row."""
     control = np.array([0.4, 0.5])
@@ -227,7 +236,7 @@ def test_carrying_adds_the_motion_since_the_measurement(
     assert np.all(np.abs(added) > 1e-3)
 
 
-def test_measured_at_the_end_is_not_carried(make_model: Any) -> None:
+def test_measured_at_the_end_is_not_carried(make_model: Callable[..., FilterModel]) -> None:
     control = np.array([0.4, 0.5])
     state = start_filter(make_model(), START, START_COVARIANCE)
     z, at = np.array([1.2, 2.3, 0.9, 1.1]), np.broadcast_to(control, (4, 2))
@@ -236,7 +245,7 @@ def test_measured_at_the_end_is_not_carried(make_model: Any) -> None:
     assert bytes_of(*late) == bytes_of(*direct)
 
 
-def test_missing_rows_may_hold_anything(make_model: Any) -> None:
+def test_missing_rows_may_hold_anything(make_model: Callable[..., FilterModel]) -> None:
     """Not-a-number in the masked rows' measurement and control."""
     available = np.array([True, False, True, False])
     control = np.array([0.4, 0.5])
@@ -250,7 +259,9 @@ def test_missing_rows_may_hold_anything(make_model: Any) -> None:
 
 
 @pytest.mark.xfail(strict=True, reason="0 times not-a-number when R's masked rows are cleared")
-def test_missing_rows_may_hold_anything_in_the_reported_covariance(make_model: Any) -> None:
+def test_missing_rows_may_hold_anything_in_the_reported_covariance(
+    make_model: Callable[..., FilterModel],
+) -> None:
     available = np.array([True, True, False, False])
     covariance = np.full((4, 4), np.nan)
     covariance[:2, :2] = [[0.01, 0.002], [0.002, 0.02]]
@@ -259,11 +270,12 @@ def test_missing_rows_may_hold_anything_in_the_reported_covariance(make_model: A
     after, _ = step(
         make_model(), state, StepInput(np.array([0.1, 0.1]), z, available, None, covariance)
     )
-    assert np.all(np.isfinite(after.mean)) and np.all(np.isfinite(after.covariance))
+    assert np.all(np.isfinite(after.mean))
+    assert np.all(np.isfinite(after.covariance))
 
 
 def test_reported_covariance_is_multiplied_by_the_adapted_scale(
-    make_model: Any, textbook_step: Any, random_covariances: Covariances
+    make_model: Callable[..., FilterModel], textbook_step: Any, random_covariances: Covariances
 ) -> None:
     """R of row i and j times the root of both rows' (adapted / started)."""
     model, control = make_model(), np.array([0.4, 0.5])
@@ -294,7 +306,9 @@ def test_reported_covariance_is_multiplied_by_the_adapted_scale(
     )
 
 
-def test_reported_covariance_alone_is_used_before_anything_was_adapted(make_model: Any) -> None:
+def test_reported_covariance_alone_is_used_before_anything_was_adapted(
+    make_model: Callable[..., FilterModel],
+) -> None:
     state = start_filter(make_model(), START, START_COVARIANCE)
     period = StepInput(np.array([0.4, 0.5]), np.array([1.5, 2.1, 1.2, 0.9]), ALL_ROWS)
     reported = np.diag(np.array(make_model().measurement_noise))
@@ -305,7 +319,9 @@ def test_reported_covariance_alone_is_used_before_anything_was_adapted(make_mode
 
 
 @pytest.mark.parametrize("period_s", [0.375, 0.1, 1.5])
-def test_process_noise_grows_with_the_period(make_model: Any, period_s: float) -> None:
+def test_process_noise_grows_with_the_period(
+    make_model: Callable[..., FilterModel], period_s: float
+) -> None:
     model, control = make_model(period_s=period_s), np.array([0.4, 0.5])
     state = start_filter(model, START, START_COVARIANCE)
     after, _ = step(model, state, StepInput(control, np.zeros(4), NO_ROWS))
@@ -318,7 +334,9 @@ def test_process_noise_grows_with_the_period(make_model: Any, period_s: float) -
     assert NOMINAL_PERIOD_S == 0.375
 
 
-def test_start_takes_its_noise_from_the_model_or_from_its_caller(make_model: Any) -> None:
+def test_start_takes_its_noise_from_the_model_or_from_its_caller(
+    make_model: Callable[..., FilterModel],
+) -> None:
     model = make_model()
     mean = np.zeros((2, 5, 3))
     state = start_filter(model, mean, np.eye(3))
@@ -334,7 +352,7 @@ def test_start_takes_its_noise_from_the_model_or_from_its_caller(make_model: Any
 
 
 def test_new_pose_keeps_the_noise_and_forgets_the_innovations(
-    make_model: Any, make_adaptation: Any
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation]
 ) -> None:
     model = make_model(adaptation=make_adaptation(mode="r", window_length=6))
     state = start_filter(model, START, START_COVARIANCE)
@@ -347,11 +365,12 @@ def test_new_pose_keeps_the_noise_and_forgets_the_innovations(
     np.testing.assert_array_equal(fresh.covariance, np.eye(3))
     assert fresh.measurement_noise.tobytes() == state.measurement_noise.tobytes()
     assert fresh.process_noise.tobytes() == state.process_noise.tobytes()
-    assert fresh.window.squares.shape == (6, 4) and not np.any(fresh.window.counts)
+    assert fresh.window.squares.shape == (6, 4)
+    assert not np.any(fresh.window.counts)
 
 
 def test_mode_q_projects_on_the_heading_at_the_end_of_the_step(
-    make_model: Any, make_adaptation: Any
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation]
 ) -> None:
     """Driving along y after a quarter turn, only y's innovations teach the forward noise."""
     model = make_model(adaptation=make_adaptation(mode="q", window_length=3))
@@ -372,15 +391,15 @@ def test_mode_q_projects_on_the_heading_at_the_end_of_the_step(
     strict=True, reason="the change is added to the filter's own R, not to the R that was used"
 )
 def test_reported_covariance_moves_by_the_network_output(
-    make_model: Any, make_adaptation: Any
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation]
 ) -> None:
-    """Sensors that report ten times the filter's R: scale times report moves by dR, not by 10 dR."""
+    """Sensors that report ten times the filter's R: what is used moves by dR, not by 10 dR."""
     model = make_model(adaptation=make_adaptation(mode="r", window_length=3))
     own = np.array(model.measurement_noise)
     period = StepInput(
         np.array([0.1, 0.1]), START[[0, 1, 2, 2]] + 1.0, ALL_ROWS, None, np.diag(10.0 * own)
     )
-    reported, result = step(model, start_filter(model, START, START_COVARIANCE), period)
+    reported, _ = step(model, start_filter(model, START, START_COVARIANCE), period)
     used = make_model(
         measurement_noise=tuple(10.0 * own), adaptation=make_adaptation(mode="r", window_length=3)
     )
@@ -447,12 +466,16 @@ def filter_drive(
 def rmse(means: FloatArray, drive: Drive) -> FloatArray:
     error = means - drive.truth
     error[..., 2] = np.arctan2(np.sin(error[..., 2]), np.cos(error[..., 2]))
-    return np.sqrt(np.mean(error**2, axis=(0, 1)))
+    mean_square: FloatArray = np.mean(error**2, axis=(0, 1))
+    return np.sqrt(mean_square)
 
 
 @pytest.mark.parametrize("wrong", [25.0, 1.0 / 25.0])
 def test_mode_r_finds_the_true_noise_from_a_start_wrong_by_25(
-    make_model: Any, make_adaptation: Any, drive: Drive, wrong: float
+    make_model: Callable[..., FilterModel],
+    make_adaptation: Callable[..., Adaptation],
+    drive: Drive,
+    wrong: float,
 ) -> None:
     model = make_model(
         process_noise=tuple(TRUE_Q),
@@ -463,16 +486,19 @@ def test_mode_r_finds_the_true_noise_from_a_start_wrong_by_25(
     # The rule keeps moving R by tens of percent; where it settles is its mean over time and runs.
     settled = np.mean(noises[300:], axis=(0, 1))
     ratio = settled[:3] / TRUE_R[:3]
-    assert np.all(ratio < 1.5) and np.all(ratio > 1.0 / 1.5), ratio
+    assert np.all((ratio < 1.5) & (ratio > 1.0 / 1.5)), ratio
     typical = np.median(noises[300:], axis=(0, 1))[:3] / TRUE_R[:3]
-    assert np.all(typical < 1.5) and np.all(typical > 1.0 / 1.5), typical
+    assert np.all((typical < 1.5) & (typical > 1.0 / 1.5)), typical
     assert np.all(last.measurement_noise[:, 3] == wrong * TRUE_R[3])
     assert np.all(np.isfinite(means))
 
 
 @pytest.mark.parametrize("wrong", [25.0, 1.0 / 25.0])
 def test_mode_r_beats_the_plain_filter_that_is_wrong_by_25(
-    make_model: Any, make_adaptation: Any, drive: Drive, wrong: float
+    make_model: Callable[..., FilterModel],
+    make_adaptation: Callable[..., Adaptation],
+    drive: Drive,
+    wrong: float,
 ) -> None:
     noise = {"process_noise": tuple(TRUE_Q), "measurement_noise": tuple(wrong * TRUE_R)}
     plain = filter_drive(make_model(**noise), drive)[0]
@@ -481,7 +507,7 @@ def test_mode_r_beats_the_plain_filter_that_is_wrong_by_25(
 
 
 def test_mode_r_costs_next_to_nothing_where_the_noise_is_right(
-    make_model: Any, make_adaptation: Any, drive: Drive
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], drive: Drive
 ) -> None:
     noise = {"process_noise": tuple(TRUE_Q), "measurement_noise": tuple(TRUE_R)}
     plain = filter_drive(make_model(**noise), drive)[0]
@@ -494,13 +520,15 @@ def test_mode_r_costs_next_to_nothing_where_the_noise_is_right(
 @pytest.mark.parametrize("mode", ["r", "q"])
 @pytest.mark.parametrize("set_name", ["initial", "published"])
 def test_centroid_keeps_the_filter_sound(
-    make_model: Any, make_adaptation: Any, request: pytest.FixtureRequest, mode: str, set_name: str
+    make_model: Callable[..., FilterModel],
+    make_adaptation: Callable[..., Adaptation],
+    request: pytest.FixtureRequest,
+    mode: str,
+    set_name: str,
 ) -> None:
     """No promise of accuracy, but finite, positive, in bounds, and on the track."""
     short = simulate(seed=71, runs=10, steps=200)
-    adaptation = make_adaptation(
-        mode=mode, kind="centroid", sets=request.getfixturevalue(set_name)
-    )
+    adaptation = make_adaptation(mode=mode, kind="centroid", sets=request.getfixturevalue(set_name))
     model = make_model(
         process_noise=tuple(TRUE_Q), measurement_noise=tuple(TRUE_R), adaptation=adaptation
     )
@@ -517,7 +545,7 @@ def test_centroid_keeps_the_filter_sound(
 
 
 def test_mode_q_of_the_published_set_stays_near_the_plain_filter(
-    make_model: Any, make_adaptation: Any, drive: Drive
+    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], drive: Drive
 ) -> None:
     noise = {"process_noise": tuple(TRUE_Q), "measurement_noise": tuple(TRUE_R)}
     plain = filter_drive(make_model(**noise), drive)[0]

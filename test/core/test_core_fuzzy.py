@@ -228,9 +228,9 @@ def numeric_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
         above, below = list(sets), list(sets)
         above[i] += h
         below[i] -= h
-        difference = infer(FuzzySets(*above), mismatch).change - infer(
-            FuzzySets(*below), mismatch
-        ).change
+        difference = (
+            infer(FuzzySets(*above), mismatch).change - infer(FuzzySets(*below), mismatch).change
+        )
         columns.append(difference / (2.0 * h))
     return np.stack(columns, axis=-1)
 
@@ -318,9 +318,7 @@ def test_centroid_equals_a_fine_integration(
 
 
 @PROPERTY
-@given(
-    st.floats(min_value=-1e12, max_value=1e12), st.floats(min_value=1.0, max_value=1e6)
-)
+@given(st.floats(min_value=-1e12, max_value=1e12), st.floats(min_value=1.0, max_value=1e6))
 def test_centroid_is_finite_and_inside_its_universe(
     either_set: FuzzySets, mismatch: float, limit: float
 ) -> None:

@@ -43,7 +43,8 @@ def test_spinning_robot_equals_linear_kalman_filter() -> None:
     rng = np.random.default_rng(11)
     q, R = 1e-3, np.diag([0.02, 0.03, 0.01, 0.04])
     root = 0.2 * rng.standard_normal((3, 3))
-    mean, P = np.array([1.0, 2.0, 0.0]), root @ root.T + 0.01 * np.eye(3)
+    mean: FloatArray = np.array([1.0, 2.0, 0.0])
+    P: FloatArray = root @ root.T + 0.01 * np.eye(3)
     x_kf, P_kf = mean.copy(), P.copy()
     H = MEASUREMENT_JACOBIAN
     for _ in range(60):
@@ -102,9 +103,11 @@ def test_long_random_run_equals_the_textbook_filter(
         Q = rng.uniform(1e-4, 1e-2, 2)
         R = 0.02 * random_covariances(rng, 1, 4)[0]
         available = rng.random(4) < 0.5
-        z = x[[0, 1, 2, 2]] + 0.3 * rng.standard_normal(4) + 2.0 * np.pi * rng.integers(
-            -1, 2, 4
-        ) * np.array([0.0, 0.0, 1.0, 1.0])
+        z = (
+            x[[0, 1, 2, 2]]
+            + 0.3 * rng.standard_normal(4)
+            + 2.0 * np.pi * rng.integers(-1, 2, 4) * np.array([0.0, 0.0, 1.0, 1.0])
+        )
         rows = [i for i in range(4) if available[i]]
         masks_seen.add(tuple(rows))
 
@@ -157,7 +160,8 @@ def test_without_any_row_nothing_changes(random_covariances: Covariances) -> Non
     result = correct(mean, P, np.full(4, np.nan), np.eye(4), NO_ROWS)
     np.testing.assert_array_equal(result.mean, mean)
     np.testing.assert_array_equal(result.covariance, P)
-    assert result.nis == 0.0 and result.degrees_of_freedom == 0.0
+    assert result.nis == 0.0
+    assert result.degrees_of_freedom == 0.0
 
 
 def test_correlation_inside_the_measurement_noise_counts() -> None:
@@ -256,9 +260,7 @@ def test_batches_equal_one_by_one(random_covariances: Covariances) -> None:
 
 @BOTH_MODELS
 @pytest.mark.parametrize("turn", [0.0, 0.4, -1.2])
-def test_predicted_covariance_equals_the_spread_of_samples(
-    model: MotionModel, turn: float
-) -> None:
+def test_predicted_covariance_equals_the_spread_of_samples(model: MotionModel, turn: float) -> None:
     """Each entry within 6 standard deviations of a sample covariance's entry."""
     rng = np.random.default_rng(19)
     count = 200_000
@@ -319,6 +321,7 @@ def test_covariance_stays_positive_definite_over_100_000_steps() -> None:
             expected = motion.mean[:, [0, 1, 2, 2]]
             corrected = correct(motion.mean, predicted, expected, R, available)
             mean, P = corrected.mean, corrected.covariance
-        assert np.all(np.isfinite(mean)) and np.all(np.isfinite(P))
+        assert np.all(np.isfinite(mean))
+        assert np.all(np.isfinite(P))
         np.testing.assert_array_equal(P, np.swapaxes(P, -1, -2))
         np.linalg.cholesky(P)  # refuses what is not positive definite

@@ -37,7 +37,8 @@ def test_straight_line(model: MotionModel, way: float, heading: float) -> None:
 @pytest.mark.parametrize("turn", [0.3, -0.3, 3.0, 7.0])
 def test_spin_on_the_spot_moves_nothing(model: MotionModel, turn: float) -> None:
     end = moved(model, [1.0, -2.0, 0.5], [0.0, turn])
-    assert end[0] == 1.0 and end[1] == -2.0
+    assert end[0] == 1.0
+    assert end[1] == -2.0
     assert end[2] == pytest.approx(float(wrap_angle(0.5 + turn)), abs=1e-15)
 
 
@@ -90,9 +91,7 @@ def test_arc_equals_its_radius_form(heading: float, way: float, turn: float, rig
 
 @PROPERTY
 @given(HEADING, WAY, TURN, st.floats(min_value=0.0, max_value=1.0))
-def test_arc_in_two_pieces_is_the_arc(
-    heading: float, way: float, turn: float, part: float
-) -> None:
+def test_arc_in_two_pieces_is_the_arc(heading: float, way: float, turn: float, part: float) -> None:
     whole = moved(MotionModel.EXACT_ARC, [1.0, 2.0, heading], [way, turn])
     first = move(
         MotionModel.EXACT_ARC, np.array([1.0, 2.0, heading]), np.array([part * way, part * turn])
@@ -190,8 +189,8 @@ def test_jacobians_equal_central_differences(
 @pytest.mark.parametrize("turn", [0.1125, -0.05, 0.01])
 def test_paper_model_is_off_sideways_by_half_way_times_turn(heading: float, turn: float) -> None:
     way = 0.1125
-    arc = displacement(MotionModel.EXACT_ARC, np.float64(heading), np.array([way, turn]))
-    paper = displacement(MotionModel.PAPER, np.float64(heading), np.array([way, turn]))
+    arc = displacement(MotionModel.EXACT_ARC, np.array(heading), np.array([way, turn]))
+    paper = displacement(MotionModel.PAPER, np.array(heading), np.array([way, turn]))
     off = paper - arc
     ahead = off[0] * math.cos(heading) + off[1] * math.sin(heading)
     left = -off[0] * math.sin(heading) + off[1] * math.cos(heading)
@@ -203,8 +202,8 @@ def test_paper_model_is_off_sideways_by_half_way_times_turn(heading: float, turn
 def test_paper_model_is_off_by_6_mm_in_an_ordinary_turn() -> None:
     # 0.3 m/s and 0.3 rad/s over 375 ms.
     control = np.array([0.1125, 0.1125])
-    arc = displacement(MotionModel.EXACT_ARC, np.float64(0.0), control)
-    paper = displacement(MotionModel.PAPER, np.float64(0.0), control)
+    arc = displacement(MotionModel.EXACT_ARC, np.array(0.0), control)
+    paper = displacement(MotionModel.PAPER, np.array(0.0), control)
     assert paper[1] - arc[1] == pytest.approx(6.3e-3, abs=0.1e-3)
 
 

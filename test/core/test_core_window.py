@@ -1,4 +1,5 @@
 from collections import deque
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ def test_half_filled_window_averages_what_it_has() -> None:
 
 def test_empty_window_has_no_mean_square_to_speak_of() -> None:
     window = empty_window(5, (2, 3))
-    assert window.squares.shape == (2, 3, 5, 4) and window.counts.shape == (2, 3, 4)
+    assert window.squares.shape == (2, 3, 5, 4)
+    assert window.counts.shape == (2, 3, 4)
     np.testing.assert_array_equal(mean_square(window), np.zeros((2, 3, 4)))
 
 
@@ -79,7 +81,7 @@ def test_push_changes_none_of_its_arguments() -> None:
     window = empty_window(5)
     for _ in range(7):
         innovation, available = rng.standard_normal(4), rng.random(4) < 0.5
-        arguments = (window.squares, window.counts, innovation, available)
+        arguments: tuple[Any, ...] = (window.squares, window.counts, innovation, available)
         copies = [argument.copy() for argument in arguments]
         for argument in arguments:
             argument.flags.writeable = False

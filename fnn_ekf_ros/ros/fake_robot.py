@@ -1,0 +1,122 @@
+"""The `fake_robot` node: the simulated hardware on real topics."""
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.parameters.fake_robot import (
+    NODE_NAME,
+    FakeRobotParameters,
+    build_fake_robot,
+)
+from fnn_ekf_ros.ros.build import build_message, message_class
+from fnn_ekf_ros.ros.runtime import (
+    as_overrides,
+    declare,
+    given_parameters,
+    ros_started,
+    spin_until_stopped,
+)
+from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, STEP_NS, STEP_S, FakeRobot
+
+from rclpy.clock import Clock, ClockType  # isort: skip  (runtime explains it if ROS is not here)
+from rclpy.node import Node  # isort: skip
+from rclpy.qos import QoSProfile  # isort: skip
+
+OUTPUT_QOS = QoSProfile(depth=100)
+MOST_STEPS_AT_ONCE = 400
+"""A robot that has fallen behind its clock catches up in portions, so that it stays responsive."""
+
+
+class FakeRobotNode(Node):  # type: ignore[misc]
+    """Moves a `FakeRobot` along with the clock and publishes what it sends.
+
+    Args:
+        parameters: checked.
+    """
+
+    def __init__(self, parameters: FakeRobotParameters) -> None:
+        super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
+        declare(self, FakeRobotParameters)
+        self._settings = parameters
+        self._robot: FakeRobot | None = None
+        self._topics = {
+            topic: self.create_publisher(message_class(type_name), topic, OUTPUT_QOS)
+            for topic, type_name in OUTPUT_TYPES.items()
+        }
+        self._clock_topic = None
+        if parameters.publish_clock:
+            self._clock_topic = self.create_publisher(
+                message_class(messages.CLOCK_TYPE), messages.CLOCK, OUTPUT_QOS
+            )
+        self._command_ns: int | None = None
+        if parameters.path == "cmd_vel":
+            self.create_subscription(
+                message_class(messages.TWIST_TYPE), messages.CMD_VEL, self._command, 10
+            )
+        self._began = time.monotonic()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(STEP_S, self._catch_up, clock=steady)
+        self.get_logger().info(
+            f"driving {parameters.path}, seed {parameters.seed}"
+            + (f", clock x{parameters.real_time_factor:g}" if self._clock_topic else "")
+        )
+
+    def _now_ns(self) -> int:
+        if self._clock_topic is None:
+            return int(self.get_clock().now().nanoseconds)
+        elapsed = time.monotonic() - self._began
+        return STEP_NS + int(elapsed * self._settings.real_time_factor * 1e9)
+
+    def _catch_up(self) -> None:
+        now_ns = self._now_ns()
+        if now_ns <= 0:
+            return  # simulated time has not begun
+        if self._robot is None or now_ns < self._robot.stamp_ns - STEP_NS:
+            self._robot = FakeRobot(self._settings, now_ns)
+        for _ in range(MOST_STEPS_AT_ONCE):
+            if self._robot.stamp_ns + STEP_NS > now_ns:
+                return
+            self._step(self._robot)
+
+    def _step(self, robot: FakeRobot) -> None:
+        if self._command_ns is not None:
+            silent_s = (robot.stamp_ns - self._command_ns) * 1e-9
+            if silent_s > self._settings.cmd_vel_timeout:
+                robot.set_command(0.0, 0.0)
+        sent = robot.step()
+        if self._clock_topic is not None:
+            fields = {"clock": messages.time(robot.stamp_ns)}
+            self._clock_topic.publish(build_message(messages.Message(messages.CLOCK_TYPE, fields)))
+        for entry in sent:
+            self._topics[entry.topic].publish(build_message(entry.message))
+
+    def _command(self, message: Any) -> None:
+        linear, angular = float(message.linear.x), float(message.angular.z)
+        if not (math.isfinite(linear) and math.isfinite(angular)):
+            self.get_logger().warning(
+                f"refused: cmd_vel ({linear:g} m/s, {angular:g} rad/s), expected finite numbers",
+                throttle_duration_sec=10.0,
+            )
+            return
+        if self._robot is not None:
+            self._robot.set_command(linear, angular)
+            self._command_ns = self._robot.stamp_ns
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments; all of them are ROS arguments."""
+    parser.epilog = (
+        "Parameters: --ros-args --params-file FILE, or -p name:=value; config/fake_robot.yaml "
+        "lists them."
+    )
+
+
+def run(ros_arguments: Sequence[str]) -> int:
+    """Run the node until it is stopped; returns the exit code."""
+    with ros_started(ros_arguments, NODE_NAME):
+        parameters = build_fake_robot(given_parameters(NODE_NAME))
+        return spin_until_stopped(lambda: FakeRobotNode(parameters))

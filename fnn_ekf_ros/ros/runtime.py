@@ -1,0 +1,153 @@
+"""What every node of the package does the same way: start, parameters, spin, stop."""
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.files import parse_assignment, read_parameter_file
+from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, fields_of
+
+try:
+    import rclpy
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+    from rclpy.signals import SignalHandlerOptions
+except ImportError as error:
+    raise FnnEkfError(
+        f"ROS 2 is not here ({error}): source a ROS 2 Jazzy installation first, or install the "
+        "ros-jazzy-rclpy, ros-jazzy-rmw-fastrtps-cpp and ros-jazzy-common-interfaces wheels"
+    ) from None
+
+SPIN_TIMEOUT_S = 0.2
+"""A node sees a signal at the latest after this time [s]."""
+
+
+def check_ros_arguments(argv: Sequence[str], node_name: str) -> None:
+    """Refuse parameters that rcl would refuse without saying which, or accept in silence.
+
+    Raises:
+        ParameterError: a file that cannot be read, a value that is missing, a list of mixed types.
+    """
+    given: dict[str, Any] = {}
+    for option, value in zip(argv, argv[1:], strict=False):
+        if option == "--params-file":
+            given.update(read_parameter_file(Path(value), node_name))
+        elif option in ("-p", "--param"):
+            name, content = parse_assignment(value)
+            given[name] = content
+    for name, value in given.items():
+        if value is None or value == []:
+            raise ParameterError(f"parameter '{name}' has no value: give it one or leave it out")
+        if isinstance(value, list) and len({type(entry) for entry in value}) > 1:
+            raise ParameterError(
+                f"parameter '{name}' is {value}: expected a list of one type, as ROS does; "
+                "write each number with a point"
+            )
+
+
+@contextmanager
+def ros_started(argv: Sequence[str], node_name: str) -> Iterator[None]:
+    """Initialise rclpy with ROS arguments; shut it down at the end.
+
+    Raises:
+        FnnEkfError: rclpy refuses the arguments.
+    """
+    check_ros_arguments(argv, node_name)
+    try:
+        rclpy.init(args=["", *argv], signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # RCLError is private to rclpy
+        raise FnnEkfError(f"ROS refuses the arguments: {_first_line(error)}") from None
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+def given_parameters(node_name: str) -> dict[str, Any]:
+    """Return the parameters that the ROS arguments hold for a node, whatever their names.
+
+    rclpy passes over unknown names in silence, and ends in a traceback on a wrong type. A short
+    lived node without any endpoint declares what it is given; the real one checks it first.
+
+    Raises:
+        ParameterError: a parameter without a value.
+    """
+    try:
+        probe = Node(
+            node_name,
+            enable_rosout=False,
+            start_parameter_services=False,
+            automatically_declare_parameters_from_overrides=True,
+        )
+    except ValueError as error:
+        raise ParameterError(f"a parameter has no value: {_first_line(error)}") from None
+    try:
+        found = probe.get_parameters_by_prefix("")
+        return {
+            name: tuple(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+            for name, value in ((name, entry.value) for name, entry in found.items())
+        }
+    finally:
+        probe.destroy_node()
+
+
+def as_overrides(parameters: Parameters) -> list[Parameter]:
+    """Return checked parameters as overrides for a node's constructor."""
+    return [
+        Parameter(name, value=_ros_value(getattr(parameters, name)))
+        for name, _, _ in fields_of(type(parameters))
+    ]
+
+
+def declare(node: Node, kind: type[Parameters]) -> None:
+    """Declare a set's parameters with their descriptions and ranges; read-only."""
+    for name, spec, default in fields_of(kind):
+        descriptor = ParameterDescriptor(description=spec.doc, read_only=True)
+        unit = f"unit {spec.unit}" if spec.unit else ""
+        choices = f"one of {', '.join(spec.choices)}" if spec.choices else ""
+        limits = spec.limits if isinstance(default, tuple) else ""
+        descriptor.additional_constraints = "; ".join(filter(None, [choices, limits, unit]))
+        low = max(spec.above, spec.at_least)
+        if isinstance(default, float):
+            span = FloatingPointRange(from_value=low, to_value=spec.at_most)
+            descriptor.floating_point_range = [span]
+        elif isinstance(default, int) and not isinstance(default, bool):
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(spec.at_most), step=1)
+            ]
+        node.declare_parameter(name, _ros_value(default), descriptor)
+
+
+def spin_until_stopped(make_node: Callable[[], Node]) -> int:
+    """Make a node and run it until SIGINT or SIGTERM; returns the exit code, 0.
+
+    The signal handlers are ours: with rclpy's own, a busy node now and then ends in a traceback.
+    """
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopped.set())
+    node = make_node()
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        while not stopped.is_set():
+            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+    return 0
+
+
+def _ros_value(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0] if lines else type(error).__name__
