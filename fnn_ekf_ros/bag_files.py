@@ -42,13 +42,13 @@ class Topic(NamedTuple):
     Attributes:
         name: absolute, such as `/odom`.
         type_name: such as `nav_msgs/msg/Odometry`.
-        count: number of messages.
+        message_count: number of messages.
         qos: profiles its publishers offered.
     """
 
     name: str
     type_name: str
-    count: int
+    message_count: int
     qos: tuple[Qos, ...] = (_RELIABLE,)
 
     @property
@@ -114,7 +114,7 @@ class BagReader:
             self.topics[connection.topic] = Topic(  # type: ignore[index]
                 connection.topic,
                 connection.msgtype,
-                connection.msgcount + (before.count if before else 0),
+                connection.msgcount + (before.message_count if before else 0),
                 qos + (before.qos if before else ()),
             )
 
@@ -139,9 +139,7 @@ class BagReader:
         Raises:
             BagError: the recording breaks off or a chunk of it is damaged.
         """
-        connections = [
-            c for c in self._reader.connections if topics is None or c.topic in topics
-        ]
+        connections = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not connections:
             return
         source = self._reader.messages(connections)
@@ -283,5 +281,3 @@ def _built(message: Message) -> Any:
 def _reason(error: Exception) -> str:
     text = " ".join(str(error).split())
     return text.rstrip(".") if text else type(error).__name__
-
-

@@ -33,9 +33,7 @@ COMMANDS = {
     "fake_robot": Command(
         "fnn_ekf_ros.ros.fake_robot", "a simulated robot as a node", is_node=True
     ),
-    "simulate": Command(
-        "fnn_ekf_ros.tools.simulate", "the simulated robot straight into a bag"
-    ),
+    "simulate": Command("fnn_ekf_ros.tools.simulate", "the simulated robot straight into a bag"),
     "play": Command("fnn_ekf_ros.ros.play", "publish a recorded bag"),
     "replay": Command("fnn_ekf_ros.tools.replay", "the localizer over a bag: bag in, bag out"),
     "import-csv": Command("fnn_ekf_ros.tools.import_csv", "a CSV recording into a bag"),

@@ -286,9 +286,7 @@ def pose_with_covariance(pose: FloatArray, covariance: FloatArray) -> Message:
             "pose": Message(
                 "geometry_msgs/msg/Pose",
                 {
-                    "position": Message(
-                        "geometry_msgs/msg/Point", {"x": x, "y": y, "z": 0.0}
-                    ),
+                    "position": Message("geometry_msgs/msg/Point", {"x": x, "y": y, "z": 0.0}),
                     "orientation": quaternion(yaw),
                 },
             ),
@@ -395,7 +393,9 @@ def _pose(topic: str, message: Any, parameters: LocalizerParameters) -> list[Eve
             f"{LARGEST_POSITION:g} m either way",
         )
     if math.isnan(pose[2]) and (topic == INITIAL_POSE or parameters.lrf_use_yaw):
-        return Rejected(Sensor.LRF_POSE, f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}")
+        return Rejected(
+            Sensor.LRF_POSE, f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}"
+        )
     covariance = planar_block(message.pose.covariance)
     if topic == INITIAL_POSE:
         return [PoseReset(stamp_ns(message), pose, covariance)]

@@ -140,12 +140,8 @@ def adapt(
         heading: `(...)` heading the step's way is projected on [rad].
     """
     ready = available & (window.counts >= SMALLEST_WINDOW_SHARE * adaptation.window_length)
-    mismatch = np.where(
-        window.counts > 0.0, innovation_variance - mean_square(window), 0.0
-    )
-    unchanged = Adapted(
-        process_noise, measurement_noise, mismatch, np.zeros((*mismatch.shape, 3))
-    )
+    mismatch = np.where(window.counts > 0.0, innovation_variance - mean_square(window), 0.0)
+    unchanged = Adapted(process_noise, measurement_noise, mismatch, np.zeros((*mismatch.shape, 3)))
     if adaptation.mode is AdaptationMode.NONE:
         return unchanged
     if adaptation.mode is AdaptationMode.R:
@@ -153,9 +149,7 @@ def adapt(
     return _adapt_process_noise(adaptation, unchanged, ready, heading)
 
 
-def _adapt_measurement_noise(
-    adaptation: Adaptation, before: Adapted, ready: BoolArray
-) -> Adapted:
+def _adapt_measurement_noise(adaptation: Adaptation, before: Adapted, ready: BoolArray) -> Adapted:
     inference, change = _infer(adaptation, before.mismatch)
     R = np.where(
         ready,

@@ -211,5 +211,7 @@ def _carry(model: FilterModel, state: FilterState, period: StepInput) -> FloatAr
 def _noise_matrix(model: FilterModel, state: FilterState, period: StepInput) -> FloatArray:
     if period.measurement_covariance is None:
         return diagonal_matrix(state.measurement_noise)
-    scale = np.sqrt(state.measurement_noise / np.asarray(model.measurement_noise))
-    return period.measurement_covariance * scale[..., :, None] * scale[..., None, :]
+    scale: FloatArray = np.sqrt(state.measurement_noise / np.asarray(model.measurement_noise))
+    return np.asarray(
+        period.measurement_covariance * scale[..., :, None] * scale[..., None, :], dtype=np.float64
+    )

@@ -215,9 +215,7 @@ def _consequents(sets: FuzzySets, x: FloatArray) -> FloatArray:
     increase = sets.increase_center + sets.negative_slope / sets.increase_slope * (
         x - sets.negative_center
     )
-    maintain = sets.maintain_center + sets.maintain_width / sets.zero_width * (
-        x - sets.zero_center
-    )
+    maintain = sets.maintain_center + sets.maintain_width / sets.zero_width * (x - sets.zero_center)
     if sets.decrease_slope == 0.0:
         decrease = np.full_like(x, sets.decrease_center)
     else:

@@ -71,9 +71,7 @@ def sinc_derivative(h: FloatArray) -> FloatArray:
     h2 = h * h
     series = -h / 3.0 * (1.0 - h2 / 10.0 * (1.0 - h2 / 28.0 * (1.0 - h2 / 54.0)))
     safe = np.where(np.abs(h) < _SERIES_LIMIT, 1.0, h)
-    return np.where(
-        np.abs(h) < _SERIES_LIMIT, series, (np.cos(safe) - np.sin(safe) / safe) / safe
-    )
+    return np.where(np.abs(h) < _SERIES_LIMIT, series, (np.cos(safe) - np.sin(safe) / safe) / safe)
 
 
 def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -> FloatArray:
@@ -103,9 +101,7 @@ def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:
         mean: `(..., 3)` [x, y, theta] before the step (m, m, rad).
         control: `(..., 2)` [dS, dtheta] (m, rad); leading dimensions broadcast.
     """
-    mean, control = np.broadcast_arrays(
-        mean, np.concatenate([control, control[..., :1]], axis=-1)
-    )
+    mean, control = np.broadcast_arrays(mean, np.concatenate([control, control[..., :1]], axis=-1))
     way, turn, heading = control[..., 0], control[..., 1], mean[..., 2]
     if model is MotionModel.PAPER:
         scale, direction = np.ones_like(way), heading + turn
@@ -134,7 +130,5 @@ def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:
     noise_jacobian[..., 1, 1] = gy
     noise_jacobian[..., 2, 1] = 1.0
 
-    moved = np.stack(
-        [mean[..., 0] + dx, mean[..., 1] + dy, wrap_angle(heading + turn)], axis=-1
-    )
+    moved = np.stack([mean[..., 0] + dx, mean[..., 1] + dy, wrap_angle(heading + turn)], axis=-1)
     return Motion(moved, motion_jacobian, noise_jacobian)

@@ -26,7 +26,9 @@ def empty_window(length: int, batch: tuple[int, ...] = ()) -> InnovationWindow:
     )
 
 
-def push(window: InnovationWindow, innovation: FloatArray, available: BoolArray) -> InnovationWindow:
+def push(
+    window: InnovationWindow, innovation: FloatArray, available: BoolArray
+) -> InnovationWindow:
     """Return the window with one more innovation in the rows that have one.
 
     Args:
@@ -46,4 +48,5 @@ def push(window: InnovationWindow, innovation: FloatArray, available: BoolArray)
 
 def mean_square(window: InnovationWindow) -> FloatArray:
     """Return the diagonal of C_hat, `(..., 4)` (m^2, m^2, rad^2, rad^2); 0 for an empty row."""
-    return np.sum(window.squares, axis=-2) / np.maximum(window.counts, 1.0)
+    total: FloatArray = np.sum(window.squares, axis=-2)
+    return total / np.maximum(window.counts, 1.0)

@@ -46,35 +46,43 @@ class FakeRobotParameters(Parameters):
 
     # Drive
     path: str = parameter(
-        "square", "What is driven: a scripted path, or cmd_vel to follow that topic.",
+        "square",
+        "What is driven: a scripted path, or cmd_vel to follow that topic.",
         choices=("square", "round", "figure_eight", "sim1", "sim2", "cmd_vel"),
     )
-    speed: float = parameter(
-        0.3, "Speed along a scripted path.", "m/s", above=0.0, at_most=10.0
-    )
+    speed: float = parameter(0.3, "Speed along a scripted path.", "m/s", above=0.0, at_most=10.0)
     cmd_vel_timeout: float = parameter(
-        0.5, "The robot stops when cmd_vel has been silent for so long.", "s", above=0.0,
+        0.5,
+        "The robot stops when cmd_vel has been silent for so long.",
+        "s",
+        above=0.0,
         at_most=3600.0,
     )
     wheel_speed_error: float = parameter(
-        0.05, "Motor control holds each wheel's speed within this part of the command.", "",
-        at_least=0.0, at_most=0.5,
+        0.05,
+        "Motor control holds each wheel's speed within this part of the command.",
+        "",
+        at_least=0.0,
+        at_most=0.5,
     )
 
     # Noise
     slip_std: tuple[float, float] = parameter(
         SIMULATION_2_SLIP_STD,
         "Motion the encoders do not see, per 375 ms: way, turn (path sim1: [0.02, 0.01745]).",
-        "[m, rad]", at_least=0.0, at_most=1e3,
+        "[m, rad]",
+        at_least=0.0,
+        at_most=1e3,
     )
     lrf_std: tuple[float, float, float] = parameter(
         (0.1, 0.1, 0.134), "Noise of the laser fixes.", "[m, m, rad]", at_least=0.0, at_most=1e3
     )
-    compass_std: float = parameter(
-        0.134, "Noise of the compass.", "rad", at_least=0.0, at_most=1e3
-    )
+    compass_std: float = parameter(0.134, "Noise of the compass.", "rad", at_least=0.0, at_most=1e3)
     seed: int = parameter(
-        1, "Seed of everything random: the same seed gives the same run.", "", at_least=0,
+        1,
+        "Seed of everything random: the same seed gives the same run.",
+        "",
+        at_least=0,
         at_most=2**31 - 1,
     )
 
@@ -82,9 +90,7 @@ class FakeRobotParameters(Parameters):
     publish_clock: bool = parameter(
         False, "Run on a clock of its own, from 0, and publish it as /clock for use_sim_time."
     )
-    real_time_factor: float = parameter(
-        1.0, "Speed of that clock.", "", above=0.0, at_most=1000.0
-    )
+    real_time_factor: float = parameter(1.0, "Speed of that clock.", "", above=0.0, at_most=1000.0)
 
     # Frames
     frame_id: str = parameter("map", "Frame of the fixes and of ground_truth.")

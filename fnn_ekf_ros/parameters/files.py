@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -70,20 +69,22 @@ def parse_assignment(text: str) -> tuple[str, Any]:
         raise ParameterError(f"-p {text}: '{value}' is not YAML") from None
 
 
-def render_parameter_file(parameters: Parameters, node_name: str, head: str = "") -> str:
+def render_parameter_file(
+    kind: type[Parameters], values: Mapping[str, Any], node_name: str, head: str = ""
+) -> str:
     """Return a parameter file in ROS form that holds all parameters, each with its sentence.
 
     Args:
-        parameters: the values; NaN stands for "not set".
+        kind: the parameter set.
+        values: by name; what is left out gets its default. NaN stands for "not set".
         node_name: the section's node.
         head: comment lines for the top, without `#`.
     """
     lines = [f"# {line}".rstrip() for line in head.splitlines()]
     lines += [f"/**/{node_name}:", "  ros__parameters:"]
-    values = asdict(parameters)
-    for name, spec, _ in fields_of(type(parameters)):
+    for name, spec, default in fields_of(kind):
         unit = f" [{spec.unit.strip('[]')}]" if spec.unit else ""
-        lines += [f"    # {spec.doc}{unit}", f"    {name}: {_yaml(values[name])}"]
+        lines += [f"    # {spec.doc}{unit}", f"    {name}: {_yaml(values.get(name, default))}"]
     return "\n".join(lines) + "\n"
 
 

@@ -15,29 +15,44 @@ class LocalizerParameters(Parameters):
 
     # Geometry: no usable default.
     wheel_radius: float = parameter(
-        0.0, "Radius of the wheels, D / 2; set it to your robot's.", "m", above=0.0, at_most=10.0,
+        0.0,
+        "Radius of the wheels, D / 2; set it to your robot's.",
+        "m",
+        above=0.0,
+        at_most=10.0,
         required=True,
     )
     wheel_separation: float = parameter(
-        0.0, "Distance between the wheels' contact points, L; set it to your robot's.", "m", above=0.0,
-        at_most=100.0, required=True,
+        0.0,
+        "Distance between the wheels' contact points, L; set it to your robot's.",
+        "m",
+        above=0.0,
+        at_most=100.0,
+        required=True,
     )
     gear_ratio: float = parameter(
         1.0, "Encoder turns per wheel turn, n.", "", above=0.0, at_most=1e6
     )
     encoder_counts_per_revolution: float = parameter(
-        0.0, "Counts per turn of the encoder, C_e; needed unless encoder_source is joint_states.",
-        "counts", at_least=0.0, at_most=1e9,
+        0.0,
+        "Counts per turn of the encoder, C_e; needed unless encoder_source is joint_states.",
+        "counts",
+        at_least=0.0,
+        at_most=1e9,
     )
 
     # Encoders
     encoder_source: str = parameter(
-        "ticks", "Where wheel motion comes from: ticks (left_ticks, right_ticks) or joint_states.",
+        "ticks",
+        "Where wheel motion comes from: ticks (left_ticks, right_ticks) or joint_states.",
         choices=("ticks", "joint_states"),
     )
     encoder_bits: int = parameter(
-        32, "Width of the counters; they wrap at 2^bits, signed or unsigned.", "bits",
-        at_least=8, at_most=32,
+        32,
+        "Width of the counters; they wrap at 2^bits, signed or unsigned.",
+        "bits",
+        at_least=8,
+        at_most=32,
     )
     left_inverted: bool = parameter(False, "Left counts fall when the robot drives forward.")
     right_inverted: bool = parameter(False, "Right counts fall when the robot drives forward.")
@@ -46,30 +61,46 @@ class LocalizerParameters(Parameters):
 
     # Time
     period: float = parameter(
-        0.375, "Time between two odom messages; boundaries are its multiples.", "s",
-        at_least=0.01, at_most=10.0,
+        0.375,
+        "Time between two odom messages; boundaries are its multiples.",
+        "s",
+        at_least=0.01,
+        at_most=10.0,
     )
     encoder_timeout: float = parameter(
-        0.5, "How long a period waits for both wheels before it is closed without them.", "s",
-        at_least=0.0, at_most=60.0,
+        0.5,
+        "How long a period waits for both wheels before it is closed without them.",
+        "s",
+        at_least=0.0,
+        at_most=60.0,
     )
     history: float = parameter(
-        2.0, "How far back a late measurement is still fused at the time it was taken.", "s",
-        at_least=0.0, at_most=60.0,
+        2.0,
+        "How far back a late measurement is still fused at the time it was taken.",
+        "s",
+        at_least=0.0,
+        at_most=60.0,
     )
 
     # Filter
     motion_model: str = parameter(
-        "exact_arc", "Motion of one period: exact_arc, or paper (eq. 4) to reproduce the paper.",
+        "exact_arc",
+        "Motion of one period: exact_arc, or paper (eq. 4) to reproduce the paper.",
         choices=("exact_arc", "paper"),
     )
     process_noise_std: tuple[float, float] = parameter(
-        (0.05, math.radians(3.0)), "Wheel noise of one 375 ms period: way, turn (sqrt of Q).",
-        "[m, rad]", above=0.0, at_most=1e3,
+        (0.05, math.radians(3.0)),
+        "Wheel noise of one 375 ms period: way, turn (sqrt of Q).",
+        "[m, rad]",
+        above=0.0,
+        at_most=1e3,
     )
     measurement_noise_std: tuple[float, float, float] = parameter(
-        (0.1, 0.1, 0.134), "Noise of the laser fixes' x, y and of the compass (sqrt of R).",
-        "[m, m, rad]", above=0.0, at_most=1e3,
+        (0.1, 0.1, 0.134),
+        "Noise of the laser fixes' x, y and of the compass (sqrt of R).",
+        "[m, m, rad]",
+        above=0.0,
+        at_most=1e3,
     )
     lrf_use_yaw: bool = parameter(False, "Use the laser fixes' yaw, beside the compass.")
     lrf_yaw_std: float = parameter(
@@ -79,50 +110,75 @@ class LocalizerParameters(Parameters):
         False, "Take R of the laser fixes from their messages, times the adapted scale."
     )
     compass_offset: float = parameter(
-        0.0, "Added to the compass yaw, counter-clockwise (minus an east-positive declination).",
-        "rad", at_least=-2.0 * math.pi, at_most=2.0 * math.pi,
+        0.0,
+        "Added to the compass yaw, counter-clockwise (minus an east-positive declination).",
+        "rad",
+        at_least=-2.0 * math.pi,
+        at_most=2.0 * math.pi,
     )
 
     # Adaptation
     adaptation: str = parameter(
-        "none", "What the fuzzy neural network adapts: none, r (measurement) or q (process).",
+        "none",
+        "What the fuzzy neural network adapts: none, r (measurement) or q (process).",
         choices=("none", "r", "q"),
     )
     innovation_window: int = parameter(
-        45, "Number of innovations the network compares with the filter's expectation, N.", "",
-        at_least=2, at_most=10000,
+        45,
+        "Number of innovations the network compares with the filter's expectation, N.",
+        "",
+        at_least=2,
+        at_most=10000,
     )
     membership_file: str = parameter(
         "published", "Membership functions: initial or published (the paper's), or a file's path."
     )
     inference: str = parameter(
-        "tsukamoto", "tsukamoto (the network), or centroid (the plain fuzzy system, eq. 18).",
+        "tsukamoto",
+        "tsukamoto (the network), or centroid (the plain fuzzy system, eq. 18).",
         choices=("tsukamoto", "centroid"),
     )
     process_noise_std_min: tuple[float, float] = parameter(
-        (1e-4, 1e-4), "Smallest process noise the adaptation may set.", "[m, rad]", above=0.0,
+        (1e-4, 1e-4),
+        "Smallest process noise the adaptation may set.",
+        "[m, rad]",
+        above=0.0,
         at_most=1e3,
     )
     process_noise_std_max: tuple[float, float] = parameter(
-        (10.0, 3.0), "Largest process noise the adaptation may set.", "[m, rad]", above=0.0,
+        (10.0, 3.0),
+        "Largest process noise the adaptation may set.",
+        "[m, rad]",
+        above=0.0,
         at_most=1e3,
     )
     measurement_noise_std_min: tuple[float, float, float] = parameter(
-        (1e-3, 1e-3, 1e-3), "Smallest measurement noise the adaptation may set (yaw for both).",
-        "[m, m, rad]", above=0.0, at_most=1e3,
+        (1e-3, 1e-3, 1e-3),
+        "Smallest measurement noise the adaptation may set (yaw for both).",
+        "[m, m, rad]",
+        above=0.0,
+        at_most=1e3,
     )
     measurement_noise_std_max: tuple[float, float, float] = parameter(
-        (1e3, 1e3, 3.0), "Largest measurement noise the adaptation may set (yaw for both).",
-        "[m, m, rad]", above=0.0, at_most=1e3,
+        (1e3, 1e3, 3.0),
+        "Largest measurement noise the adaptation may set (yaw for both).",
+        "[m, m, rad]",
+        above=0.0,
+        at_most=1e3,
     )
 
     # Start
     initial_pose: tuple[float, float, float] = parameter(
-        NOT_SET, "Pose to start from; .nan: wait until x, y and yaw have been measured.",
-        "[m, m, rad]", may_be_nan=True,
+        NOT_SET,
+        "Pose to start from; .nan: wait until x, y and yaw have been measured.",
+        "[m, m, rad]",
+        may_be_nan=True,
     )
     initial_pose_std: tuple[float, float, float] = parameter(
-        (0.1, 0.1, 0.134), "How well initial_pose is known.", "[m, m, rad]", above=0.0,
+        (0.1, 0.1, 0.134),
+        "How well initial_pose is known.",
+        "[m, m, rad]",
+        above=0.0,
         at_most=1e3,
     )
 

@@ -92,6 +92,11 @@ def fields_of(kind: type[Parameters]) -> list[tuple[str, Spec, ParameterValue]]:
     ]
 
 
+def default_of(kind: type[Parameters], name: str) -> Any:
+    """Return the default of one parameter of a set."""
+    return {field: default for field, _, default in fields_of(kind)}[name]
+
+
 def build(kind: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
     """Return a parameter set from names and values as a user gave them.
 
@@ -194,11 +199,7 @@ def _number(value: Any) -> float | None:
 
 
 def _inside(spec: Spec, number: float) -> bool:
-    return (
-        math.isfinite(number)
-        and number > spec.above
-        and spec.at_least <= number <= spec.at_most
-    )
+    return math.isfinite(number) and number > spec.above and spec.at_least <= number <= spec.at_most
 
 
 def _and(limits: str) -> str:

@@ -28,12 +28,12 @@ class WheelCount(NamedTuple):
     Attributes:
         stamp_ns: ROS time [ns].
         wheel: which wheel.
-        count: counts of a wrapping counter (int), or the wheel's position [rad] (float).
+        reading: counts of a wrapping counter (int), or the wheel's position [rad] (float).
     """
 
     stamp_ns: int
     wheel: Wheel
-    count: int | float
+    reading: int | float
 
 
 class CompassYaw(NamedTuple):

@@ -2,8 +2,8 @@
 
 | status | WARN | ERROR |
 | --- | --- | --- |
-| encoders | periods were closed without both wheels, or messages were refused | no message yet, or none for `STALE_NS` |
-| compass, lrf_pose | no message yet or none for `STALE_NS`; messages were refused | |
+| encoders | periods closed without both wheels; messages refused | none, or not for `STALE_NS` |
+| compass, lrf_pose | none, or not for `STALE_NS`; messages refused | |
 | filter | waits for its start | |
 | time | late messages were dropped, or the clock jumped | |
 """
@@ -26,6 +26,8 @@ from fnn_ekf_ros.pipeline.events import (
     WheelCount,
 )
 from fnn_ekf_ros.pipeline.start import Waiting
+
+Values = tuple[tuple[str, str], ...]
 
 STALE_NS = 3 * 10**9
 """A sensor that has been silent for longer is called stale [ns]."""
@@ -110,7 +112,7 @@ class Health:
 
     def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
         last_ns = self._last_ns.get(sensor)
-        values = (
+        values: Values = (
             ("received", str(self._received[sensor])),
             ("refused", str(self._refused[sensor])),
         )
@@ -126,7 +128,7 @@ class Health:
         return Status(sensor, Level.OK, "received", values)
 
     def _filter(self, state: FilterState | Waiting, estimate: Estimate | None) -> Status:
-        values = (
+        values: Values = (
             ("adaptation", self._parameters.adaptation),
             ("process noise std [m, rad]", _stds(state.process_noise)),
             ("measurement noise std [m, m, rad, rad]", _stds(state.measurement_noise)),

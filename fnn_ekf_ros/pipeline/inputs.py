@@ -97,7 +97,7 @@ class InputBuffer:
         """
         if isinstance(event, WheelCount):
             return self._wheels[event.wheel].add(
-                event.stamp_ns, self._sign[event.wheel] * event.count
+                event.stamp_ns, self._sign[event.wheel] * event.reading
             )
         if isinstance(event, CompassYaw):
             self._compass.add(event)

@@ -63,7 +63,10 @@ class Pipeline:
         self._period_ns = round(parameters.period * 1e9)
         self._timeout_ns = round(parameters.encoder_timeout * 1e9)
         self._history_ns = round(parameters.history * 1e9)
-        self.reset()
+        self._checkpoints: deque[_Checkpoint] = deque()
+        self._changed_ns = _NEVER_NS
+        self._now_ns = -_NEVER_NS
+        self._restart()
 
     def add(self, event: Event, now_ns: int) -> list[Output]:
         """Take an event in; return the periods closed by it and by the time that has passed.
@@ -104,7 +107,7 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget the pose and all that was adapted, as at start-up."""
-        self._checkpoints: deque[_Checkpoint] = deque()
+        self._checkpoints.clear()
         self._restart()
 
     def enable_adaptation(self, enabled: bool) -> None:
@@ -147,10 +150,11 @@ class Pipeline:
     def _begin(self, stamp_ns: int) -> None:
         """Open the first period: the one that an event of this time belongs to."""
         begin_ns = (stamp_ns - 1) // self._period_ns * self._period_ns
-        state: FilterState | Waiting = Waiting(*self._start_noise)
+        waiting = Waiting(*self._start_noise)
+        state: FilterState | Waiting = waiting
         if not np.isnan(self.parameters.initial_pose[0]):
             covariance = np.diag(np.square(self.parameters.initial_pose_std))
-            state = self._started(state, np.array(self.parameters.initial_pose), covariance)
+            state = self._started(waiting, np.array(self.parameters.initial_pose), covariance)
         self._checkpoints.append(_Checkpoint(begin_ns, state, Counts(0.0, 0.0)))
 
     def _close(self) -> list[Output]:

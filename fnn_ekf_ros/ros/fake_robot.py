@@ -20,7 +20,8 @@ from fnn_ekf_ros.ros.runtime import (
     ros_started,
     spin_until_stopped,
 )
-from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, STEP_NS, STEP_S, FakeRobot
+from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, STEP_NS, FakeRobot
+from fnn_ekf_ros.simulation.robot import STEP_S
 
 from rclpy.clock import Clock, ClockType  # isort: skip  (runtime explains it if ROS is not here)
 from rclpy.node import Node  # isort: skip

@@ -149,7 +149,7 @@ class _Player:
                 publisher.wait_for_all_acked()
 
     def _count(self, bag: BagReader) -> int:
-        return sum(bag.topics[name].count for name in self._publishers)
+        return sum(bag.topics[name].message_count for name in self._publishers)
 
     def _tell_clock(self, now_ns: int) -> None:
         if self._clock is not None:
@@ -189,8 +189,6 @@ def _qos(topic: Topic) -> QoSProfile:
             ReliabilityPolicy.RELIABLE if topic.reliable else ReliabilityPolicy.BEST_EFFORT
         ),
         durability=(
-            DurabilityPolicy.TRANSIENT_LOCAL
-            if topic.transient_local
-            else DurabilityPolicy.VOLATILE
+            DurabilityPolicy.TRANSIENT_LOCAL if topic.transient_local else DurabilityPolicy.VOLATILE
         ),
     )

@@ -1,5 +1,6 @@
 """What every node of the package does the same way: start, parameters, spin, stop."""
 
+import itertools
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +36,7 @@ def check_ros_arguments(argv: Sequence[str], node_name: str) -> None:
         ParameterError: a file that cannot be read, a value that is missing, a list of mixed types.
     """
     given: dict[str, Any] = {}
-    for option, value in zip(argv, argv[1:], strict=False):
+    for option, value in itertools.pairwise(argv):
         if option == "--params-file":
             given.update(read_parameter_file(Path(value), node_name))
         elif option in ("-p", "--param"):
@@ -90,7 +91,9 @@ def given_parameters(node_name: str) -> dict[str, Any]:
     try:
         found = probe.get_parameters_by_prefix("")
         return {
-            name: tuple(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+            name: tuple(value)
+            if hasattr(value, "__len__") and not isinstance(value, str)
+            else value
             for name, value in ((name, entry.value) for name, entry in found.items())
         }
     finally:

@@ -142,5 +142,5 @@ class FakeRobot:
 
 
 def _wrapped(count: int, bits: int) -> int:
-    half = 2 ** (bits - 1)
+    half = 1 << (bits - 1)
     return (count + half) % (2 * half) - half

@@ -89,9 +89,7 @@ def read_track(bag: BagReader, topic: str) -> Track:
 def format_table(scores: Mapping[str, Score]) -> str:
     """Return the scores as a table, one line for each run."""
     lines = [
-        _ROW.format(
-            "run", "odoms", "RMSE x", "RMSE y", "RMSE theta", "RMSE position", "mean NEES"
-        ),
+        _ROW.format("run", "odoms", "RMSE x", "RMSE y", "RMSE theta", "RMSE position", "mean NEES"),
         _ROW.format("", "", "[m]", "[m]", "[rad]", "[m]", "(3)"),
     ]
     lines += [

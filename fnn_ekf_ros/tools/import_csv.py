@@ -12,6 +12,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
-from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.parameters.schema import build, default_of
 from fnn_ekf_ros.tools.files import parameter_file_beside, write_text
 from fnn_ekf_ros.tools.progress import with_progress
 
@@ -132,7 +133,9 @@ def run(arguments: argparse.Namespace) -> int:
         for entry in with_progress(timed, len(timed), "import-csv"):
             bag.write(f"/{entry.topic}", entry.message, entry.time_ns)
     head = f"Localizer parameters for {arguments.out.name}, imported from {arguments.csv.name}."
-    write_text(beside, render_parameter_file(parameters, NODE_NAME, head))
+    write_text(
+        beside, render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME, head)
+    )
     counts = Counter(entry.topic for entry in timed)
     listed = ", ".join(f"{count} {topic}" for topic, count in counts.items())
     print(f"{arguments.out}: {listed}; {beside}: matching localizer parameters")
@@ -230,7 +233,7 @@ def _positive(path: Path, content: dict[str, Any], key: str) -> float:
 
 def _encoder_timeout(times: FloatArray) -> float:
     """Return how long a period must wait for encoders that come at these times [s]."""
-    default = float(LocalizerParameters.__dataclass_fields__["encoder_timeout"].default)
+    default = float(default_of(LocalizerParameters, "encoder_timeout"))
     intervals = np.diff(times)
     if len(intervals) == 0:
         return default

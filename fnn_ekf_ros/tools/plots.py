@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,9 +26,7 @@ def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> Non
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        raise FnnEkfError(
-            "pictures need matplotlib: install it, or fnn_ekf_ros[tools]"
-        ) from None
+        raise FnnEkfError("pictures need matplotlib: install it, or fnn_ekf_ros[tools]") from None
     figure = Figure(figsize=(13, 7), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0))
@@ -39,7 +38,7 @@ def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> Non
     begin_ns = truth.time_ns[0]
     tracks.plot(truth.pose[:, 0], truth.pose[:, 1], color="black", lw=2.0, label="ground truth")
     for index, (name, estimate) in enumerate(estimates.items()):
-        style = {"color": f"C{index}", "lw": 1.0, "label": name}
+        style: dict[str, Any] = {"color": f"C{index}", "lw": 1.0, "label": name}
         tracks.plot(estimate.pose[:, 0], estimate.pose[:, 1], **style)
         error = estimate.pose - interpolate(truth, estimate.time_ns)
         seconds = (estimate.time_ns - begin_ns) * 1e-9

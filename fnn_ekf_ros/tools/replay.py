@@ -2,6 +2,7 @@
 
 import argparse
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 from fnn_ekf_ros import messages
@@ -43,7 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
         inputs = _inputs_in(bag, parameters, names)
         outputs = {names.of(topic) for topic in (messages.ODOM, messages.NOISE)}
         outputs.add(messages.DIAGNOSTICS)
-        notes = {NODE_NAME: render_parameter_file(parameters, NODE_NAME)}
+        notes = {
+            NODE_NAME: render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME)
+        }
         with BagWriter(arguments.out, arguments.storage, notes) as out:
             for topic in bag.topics.values():
                 if topic.name not in outputs:
@@ -135,9 +138,7 @@ def _feed(
     topic: str,
     dead_reckoning: _DeadReckoning | None,
 ) -> list[Output]:
-    events = messages.read_input(
-        topic, bag.message(record), record.time_ns, pipeline.parameters
-    )
+    events = messages.read_input(topic, bag.message(record), record.time_ns, pipeline.parameters)
     if isinstance(events, Rejected):
         pipeline.reject(events)
         return pipeline.advance(record.time_ns)
@@ -167,9 +168,5 @@ def _write(
 
 def _last_words(pipeline: Pipeline) -> str:
     return "; ".join(
-        f"{status.name}: {status.message}"
-        for status in pipeline.report()
-        if status.level > 0
+        f"{status.name}: {status.message}" for status in pipeline.report() if status.level > 0
     )
-
-

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -22,7 +23,7 @@ class Track:
         covariance: `(n, 3, 3)`; zeros where it is not known.
     """
 
-    time_ns: np.ndarray
+    time_ns: NDArray[np.int64]
     pose: FloatArray
     covariance: FloatArray
 
@@ -48,7 +49,7 @@ class Score:
     mean_nees: float
 
 
-def interpolate(truth: Track, time_ns: np.ndarray) -> FloatArray:
+def interpolate(truth: Track, time_ns: NDArray[np.int64]) -> FloatArray:
     """Return the true poses `(n, 3)` at times [ns]; NaN outside of the track and in its gaps."""
     after = np.clip(np.searchsorted(truth.time_ns, time_ns), 1, len(truth.time_ns) - 1)
     before = after - 1
@@ -56,7 +57,7 @@ def interpolate(truth: Track, time_ns: np.ndarray) -> FloatArray:
     part = (time_ns - truth.time_ns[before]) / gap_ns
     change = truth.pose[after] - truth.pose[before]
     change[:, 2] = wrap_angle(change[:, 2])
-    pose = truth.pose[before] + part[:, None] * change
+    pose: FloatArray = truth.pose[before] + part[:, None] * change
     outside = (part < 0.0) | (part > 1.0) | (gap_ns > LONGEST_TRUTH_GAP_S * 1e9)
     pose[outside] = math.nan
     return pose

@@ -1,7 +1,10 @@
 """`simulate OUT`: the fake robot straight into a rosbag2, faster than real time."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
+
+import numpy as np
 
 from fnn_ekf_ros.bag_files import STORAGES, BagWriter, refuse_existing
 from fnn_ekf_ros.errors import FnnEkfError
@@ -13,6 +16,7 @@ from fnn_ekf_ros.parameters.fake_robot import (
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import default_of
 from fnn_ekf_ros.simulation.fake_robot import STEP_NS, FakeRobot
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.files import parameter_file_beside, write_text
@@ -20,6 +24,10 @@ from fnn_ekf_ros.tools.progress import with_progress
 
 START_NS = 3 * 10**9
 """ROS time at which simulated recordings start: eight periods [ns]."""
+
+
+SMALLEST_SLIP = 1e-3
+"""A filter needs some process noise even for a robot that never slips (m, rad)."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,20 +52,15 @@ def run(arguments: argparse.Namespace) -> int:
     steps = round(arguments.duration * 1e9) // STEP_NS
     beside = parameter_file_beside(arguments.out)
     refuse_existing(beside)
-    text = render_parameter_file(parameters, NODE_NAME)
+    text = render_parameter_file(FakeRobotParameters, asdict(parameters), NODE_NAME)
     robot = FakeRobot(parameters, START_NS)
-    with BagWriter(arguments.out, arguments.storage, {"fake_robot": text}) as bag:
+    with BagWriter(arguments.out, arguments.storage, {NODE_NAME: text}) as bag:
         for _ in with_progress(range(steps), steps, "simulate"):
             for sent in robot.step():
                 bag.write(f"/{sent.topic}", sent.message, robot.stamp_ns)
-    write_text(
-        beside,
-        render_parameter_file(
-            matching_localizer(parameters),
-            LOCALIZER,
-            f"Geometry and true noise of the robot in {arguments.out.name}.",
-        ),
-    )
+    head = f"Geometry and true noise of the robot in {arguments.out.name}."
+    matching = asdict(matching_localizer(parameters))
+    write_text(beside, render_parameter_file(LocalizerParameters, matching, LOCALIZER, head))
     print(
         f"{arguments.out}: {arguments.duration:g} s of path '{parameters.path}', seed "
         f"{parameters.seed}; {beside}: matching localizer parameters"
@@ -67,8 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def matching_localizer(robot: FakeRobotParameters) -> LocalizerParameters:
     """Return localizer parameters with the fake robot's geometry and its true noise."""
-    smallest = LocalizerParameters.__dataclass_fields__["measurement_noise_std_min"].default
-    lrf_x, lrf_y, lrf_yaw = (max(std, low) for std, low in zip(robot.lrf_std, smallest))
+    smallest = default_of(LocalizerParameters, "measurement_noise_std_min")
+    lrf_x, lrf_y, lrf_yaw = np.maximum(robot.lrf_std, smallest)
     forward, turn = robot.slip_std
     return LocalizerParameters(
         wheel_radius=robot.wheel_radius,
@@ -78,9 +81,9 @@ def matching_localizer(robot: FakeRobotParameters) -> LocalizerParameters:
         encoder_bits=robot.encoder_bits,
         left_joint=robot.left_joint,
         right_joint=robot.right_joint,
-        process_noise_std=(max(forward, 1e-3), max(turn, 1e-3)),
-        measurement_noise_std=(lrf_x, lrf_y, max(robot.compass_std, smallest[2])),
-        lrf_yaw_std=lrf_yaw,
+        process_noise_std=(max(forward, SMALLEST_SLIP), max(turn, SMALLEST_SLIP)),
+        measurement_noise_std=(float(lrf_x), float(lrf_y), max(robot.compass_std, smallest[2])),
+        lrf_yaw_std=float(lrf_yaw),
         frame_id=robot.frame_id,
         base_frame=robot.base_frame,
     )

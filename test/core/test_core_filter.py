@@ -107,7 +107,7 @@ def test_batch_equals_single_filters(
     alone = {i: start_filter(filter_model, mean[i], START_COVARIANCE) for i in np.ndindex(*batch)}
     for period in random_periods(rng, 60, batch):
         together, result = step(filter_model, together, period)
-        for i in alone:
+        for i in np.ndindex(*batch):
             alone[i], single = step(filter_model, alone[i], one_of_batch(period, i))
             expected = arrays_of(alone[i], single)
             got = arrays_of(one_of_batch(together, i), one_of_batch(result, i))
@@ -123,8 +123,8 @@ def test_one_period_serves_a_whole_batch(
     noise = np.array([0.2, 1.0, 5.0])[:, None] * np.array(model.measurement_noise)
     shared = start_filter(model, np.tile(START, (3, 1)), START_COVARIANCE, measurement_noise=noise)
     spread = shared
-    for period in random_periods(np.random.default_rng(62), 20):
-        period = period._replace(control_at_measurement=None)
+    for everything in random_periods(np.random.default_rng(62), 20):
+        period = everything._replace(control_at_measurement=None)
         copied: list[Any] = [None if a is None else np.stack([a] * 3) for a in period]
         copies = StepInput(*copied)
         shared, spread = step(model, shared, period)[0], step(model, spread, copies)[0]
@@ -152,8 +152,8 @@ def test_without_adaptation_the_run_equals_the_textbook_filter(
     state = start_filter(filter_model, START, START_COVARIANCE)
     x, P = START, START_COVARIANCE
     paper = model is MotionModel.PAPER
-    for period in random_periods(np.random.default_rng(64), 300):
-        period = period._replace(control_at_measurement=None, measurement_covariance=None)
+    for everything in random_periods(np.random.default_rng(64), 300):
+        period = everything._replace(control_at_measurement=None, measurement_covariance=None)
         rows = [int(row) for row in np.flatnonzero(period.available)]
         before = textbook_step(paper, x, P, period.control, Q, period.measurement, R, [])
         x, P = textbook_step(paper, x, P, period.control, Q, period.measurement, R, rows)
@@ -176,8 +176,8 @@ def test_adaptation_changes_nothing_before_it_has_learned_something(
     adaptive = make_model(adaptation=make_adaptation(mode=mode, window_length=45))
     state = start_filter(adaptive, START, START_COVARIANCE)
     plain = start_filter(make_model(), START, START_COVARIANCE)
-    for i, period in enumerate(random_periods(np.random.default_rng(65), 16)):
-        period = period._replace(available=ALL_ROWS)
+    for i, masked in enumerate(random_periods(np.random.default_rng(65), 16)):
+        period = masked._replace(available=ALL_ROWS)
         state, plain = step(adaptive, state, period)[0], step(make_model(), plain, period)[0]
         same = bytes_of(state) == bytes_of(plain)
         # A third of 45 innovations: after the 15th the noise moves, and the 16th feels it.

@@ -45,7 +45,8 @@ def test_spinning_robot_equals_linear_kalman_filter() -> None:
     root = 0.2 * rng.standard_normal((3, 3))
     mean: FloatArray = np.array([1.0, 2.0, 0.0])
     P: FloatArray = root @ root.T + 0.01 * np.eye(3)
-    x_kf, P_kf = mean.copy(), P.copy()
+    x_kf: Any = mean.copy()
+    P_kf: Any = P.copy()
     H = MEASUREMENT_JACOBIAN
     for _ in range(60):
         turn = rng.uniform(-0.02, 0.02)
@@ -299,6 +300,19 @@ def test_mean_nees_of_consistent_runs_is_inside_its_band(model: MotionModel) -> 
             error[:, 2] = np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2]))
             nees = np.sum(error * np.linalg.solve(P, error[..., None])[..., 0], axis=-1)
             assert CHI_SQUARE_1500[0] < np.sum(nees) < CHI_SQUARE_1500[1]
+
+
+def test_covariance_survives_a_measurement_far_better_than_what_was_known() -> None:
+    """Where P- - K H P- loses all its digits: P of 1e8 m^2 meets R of 1e-8 m^2."""
+    root = np.array([[1e4, 0.0, 0.0], [7e3, 4e3, 0.0], [0.3, -0.2, 0.1]])
+    P, R = root @ root.T, np.diag([1e-8, 1e-8, 1e-8, 1e-8])
+    for mask in ALL_MASKS[1:]:
+        corrected = correct(np.zeros(3), P, np.zeros(4), R, np.array(mask)).covariance
+        np.testing.assert_array_equal(corrected, corrected.T)
+        np.linalg.cholesky(corrected)
+        measured = np.array([mask[0], mask[1], mask[2] or mask[3]])
+        assert np.all(np.diag(corrected)[measured] < 1.01e-8)
+        assert np.all(np.diag(corrected)[measured] > 0.49e-8)
 
 
 def test_covariance_stays_positive_definite_over_100_000_steps() -> None:

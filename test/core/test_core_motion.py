@@ -133,6 +133,15 @@ def test_sinc_and_its_derivative_on_both_sides_of_the_series_limit(sign: float) 
         )
 
 
+def test_series_of_small_half_angles_are_exact() -> None:
+    """Well below any switch to the closed forms, nothing may be lost to the powers left out."""
+    for h in np.geomspace(1e-6, 9e-3, 201):
+        assert float(sinc(h)) == pytest.approx(taylor_sinc(h), rel=2.3e-16, abs=0.0)
+        assert float(sinc_derivative(h)) == pytest.approx(
+            taylor_sinc_derivative(h), rel=1e-15, abs=0.0
+        )
+
+
 def test_sinc_at_zero_and_at_half_turns() -> None:
     h = np.array([0.0, -0.0, 5e-324, math.pi / 2.0, math.pi])
     np.testing.assert_allclose(sinc(h), [1.0, 1.0, 1.0, 2.0 / math.pi, 0.0], atol=1e-16)

@@ -1,0 +1,21 @@
+"""Writes config/*.yaml from the defaults in the code: python3 scripts/write_config.py."""
+
+from pathlib import Path
+
+from fnn_ekf_ros.parameters import fake_robot, localizer
+from fnn_ekf_ros.parameters.files import render_parameter_file
+
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+LOCALIZER_HEAD = """\
+Parameters of fnn_ekf_ros localizer, with their defaults.
+wheel_radius, wheel_separation and encoder_counts_per_revolution must be set to your robot's."""
+FAKE_ROBOT_HEAD = """\
+Parameters of fnn_ekf_ros fake_robot, with their defaults: the paper's robot."""
+
+for kind, node_name, head in (
+    (localizer.LocalizerParameters, localizer.NODE_NAME, LOCALIZER_HEAD),
+    (fake_robot.FakeRobotParameters, fake_robot.NODE_NAME, FAKE_ROBOT_HEAD),
+):
+    path = CONFIG / f"{node_name}.yaml"
+    path.write_text(render_parameter_file(kind, {}, node_name, head), encoding="utf-8")
+    print(path)
