@@ -60,7 +60,7 @@ INPUT_TYPES = {
 
 LARGEST_POSITION = 1e8
 """Larger coordinates are a wrong unit or a broken message [m]."""
-VARIANCE_RANGE = (1e-12, 1e12)
+VARIANCE_RANGE = (1e-10, 1e12)
 """Variances outside of this are no variances [m^2 or rad^2]."""
 UNUSED_VARIANCE = 1e-9
 """Variance published for what a planar robot does not do: z, roll, pitch, sideways."""

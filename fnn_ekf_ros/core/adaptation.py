@@ -119,6 +119,21 @@ class Adapted(NamedTuple):
     firing_strength: FloatArray
 
 
+class Scales(NamedTuple):
+    """By how much the noise in use moves when the noise that is adapted moves by one.
+
+    Attributes:
+        process: of Q, whose nominal period may not be the filter's.
+        measurement: `(..., 4)` of R, where sensors report covariances of their own.
+    """
+
+    process: float
+    measurement: FloatArray
+
+
+UNIT_SCALES = Scales(1.0, np.ones(MEASUREMENT_SIZE))
+
+
 def adapt(
     adaptation: Adaptation,
     process_noise: FloatArray,
@@ -127,6 +142,7 @@ def adapt(
     innovation_variance: FloatArray,
     available: BoolArray,
     heading: FloatArray,
+    scales: Scales = UNIT_SCALES,
 ) -> Adapted:
     """Move Q or R one step by what the window says about S.
 
@@ -138,6 +154,7 @@ def adapt(
         innovation_variance: `(..., 4)` diagonal of S.
         available: `(..., 4)` rows measured in this step; only they teach anything.
         heading: `(...)` heading the step's way is projected on [rad].
+        scales: the network's output is a change of the noise in use; it is divided by these.
     """
     ready = available & (window.counts >= SMALLEST_WINDOW_SHARE * adaptation.window_length)
     mismatch = np.where(window.counts > 0.0, innovation_variance - mean_square(window), 0.0)
@@ -145,17 +162,19 @@ def adapt(
     if adaptation.mode is AdaptationMode.NONE:
         return unchanged
     if adaptation.mode is AdaptationMode.R:
-        return _adapt_measurement_noise(adaptation, unchanged, ready)
-    return _adapt_process_noise(adaptation, unchanged, ready, heading)
+        return _adapt_measurement_noise(adaptation, unchanged, ready, scales.measurement)
+    return _adapt_process_noise(adaptation, unchanged, ready, heading, scales.process)
 
 
-def _adapt_measurement_noise(adaptation: Adaptation, before: Adapted, ready: BoolArray) -> Adapted:
+def _adapt_measurement_noise(
+    adaptation: Adaptation, before: Adapted, ready: BoolArray, scale: FloatArray
+) -> Adapted:
     inference, change = _infer(adaptation, before.mismatch)
     R = np.where(
         ready,
         _moved(
             before.measurement_noise,
-            change,
+            change / scale,
             adaptation.bounds.measurement_min,
             adaptation.bounds.measurement_max,
         ),
@@ -168,7 +187,11 @@ def _adapt_measurement_noise(adaptation: Adaptation, before: Adapted, ready: Boo
 
 
 def _adapt_process_noise(
-    adaptation: Adaptation, before: Adapted, ready: BoolArray, heading: FloatArray
+    adaptation: Adaptation,
+    before: Adapted,
+    ready: BoolArray,
+    heading: FloatArray,
+    scale: float,
 ) -> Adapted:
     D = before.mismatch
     c2 = np.cos(heading) ** 2
@@ -192,7 +215,7 @@ def _adapt_process_noise(
         row_ready[..., used],
         _moved(
             before.process_noise,
-            change[..., used],
+            change[..., used] / scale,
             adaptation.bounds.process_min,
             adaptation.bounds.process_max,
         ),

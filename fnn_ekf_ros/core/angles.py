@@ -17,4 +17,5 @@ def wrap_angle(angle: FloatArray | float) -> FloatArray:
     a = np.asarray(angle, dtype=np.float64)
     # The remainder is only taken where it is needed, so that a small angle keeps all its bits.
     wrapped = -(np.remainder(np.pi - a, 2.0 * np.pi) - np.pi)
+    wrapped = np.where(wrapped <= -np.pi, np.pi, wrapped)  # rounding can reach the open end
     return np.asarray(np.where((a > -np.pi) & (a <= np.pi), a, wrapped), dtype=np.float64)

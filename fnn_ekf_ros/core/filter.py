@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import Adaptation, adapt
+from fnn_ekf_ros.core.adaptation import Adaptation, Scales, adapt
 from fnn_ekf_ros.core.arrays import (
     STATE_SIZE,
     BoolArray,
@@ -154,8 +154,8 @@ def step(
         The state at the period's end, and what the period showed.
     """
     motion = move(model.motion_model, state.mean, period.control)
-    process_noise = state.process_noise * (model.period_s / NOMINAL_PERIOD_S)
-    covariance = predict_covariance(state.covariance, motion, process_noise)
+    period_scale = model.period_s / NOMINAL_PERIOD_S
+    covariance = predict_covariance(state.covariance, motion, state.process_noise * period_scale)
 
     corrected = correct(
         motion.mean,
@@ -174,6 +174,7 @@ def step(
         corrected.innovation_variance,
         period.available,
         motion.mean[..., 2],
+        Scales(process=period_scale, measurement=_reported_scale(model, period)),
     )
     after = FilterState(
         corrected.mean,
@@ -209,9 +210,20 @@ def _carry(model: FilterModel, state: FilterState, period: StepInput) -> FloatAr
 
 
 def _noise_matrix(model: FilterModel, state: FilterState, period: StepInput) -> FloatArray:
+    """Return R: the filter's own, or what the sensors reported times the adapted scale."""
+    own = diagonal_matrix(state.measurement_noise)
     if period.measurement_covariance is None:
-        return diagonal_matrix(state.measurement_noise)
+        return own
     scale: FloatArray = np.sqrt(state.measurement_noise / np.asarray(model.measurement_noise))
-    return np.asarray(
-        period.measurement_covariance * scale[..., :, None] * scale[..., None, :], dtype=np.float64
-    )
+    reported = period.measurement_covariance * scale[..., :, None] * scale[..., None, :]
+    both = period.available[..., :, None] & period.available[..., None, :]
+    return np.where(both, reported, own)
+
+
+def _reported_scale(model: FilterModel, period: StepInput) -> FloatArray:
+    """Return by how much the R in use moves when the filter's own R moves by one, `(..., 4)`."""
+    own = np.asarray(model.measurement_noise)
+    if period.measurement_covariance is None:
+        return np.ones_like(own)
+    reported = np.diagonal(period.measurement_covariance, axis1=-2, axis2=-1)
+    return np.where(period.available, reported / own, 1.0)

@@ -25,6 +25,9 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 
+_FAR = 1e100
+"""A Gaussian's tail beyond so many widths is as good as this far; its square does not overflow."""
+
 
 class FuzzySets(NamedTuple):
     """The six membership functions; the letters are the paper's.
@@ -112,8 +115,8 @@ def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
         mismatch: `(...)` D in the sets' unit.
 
     Returns:
-        `(..., 12)`, in the order of `FuzzySets`. Where a consequent is crisp (slope or width 0)
-        the derivative by that slope or width is 0: there is no inverse to differentiate.
+        `(..., 12)`, in the order of `FuzzySets`. Where D is crisp (slope 0) the derivative by
+        its slope is 0: there is no inverse to differentiate.
     """
     x = -mismatch
     s = sets
@@ -124,7 +127,8 @@ def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
 
     p_rest = sigmoid(x, -s.positive_slope, s.positive_center)  # 1 - P
     n_rest = sigmoid(x, -s.negative_slope, s.negative_center)  # 1 - N
-    from_p, from_n, from_z = x - s.positive_center, x - s.negative_center, x - s.zero_center
+    from_p, from_n = x - s.positive_center, x - s.negative_center
+    from_z = np.clip(x - s.zero_center, -_FAR, _FAR)
     zeros = np.zeros_like(x)
     crisp_d = s.decrease_slope == 0.0
     a3 = 1.0 if crisp_d else s.decrease_slope
@@ -155,7 +159,7 @@ def infer_centroid(
 ) -> Inference:
     """Run the plain fuzzy system: clipped consequents, centroid defuzzification (eq. 18).
 
-        dR = sum z mu(z) / sum z mu(z),   mu(z) = max_k min(alpha_k, consequent_k(z))
+        dR = sum z mu(z) / sum mu(z),   mu(z) = max_k min(alpha_k, consequent_k(z))
 
     Args:
         sets: the membership functions.
@@ -166,14 +170,16 @@ def infer_centroid(
     """
     alpha = np.exp(_log_firing(sets, -mismatch))
     z = np.linspace(-change_limit, change_limit, points)
+    narrowest = 2.0 * change_limit / (points - 1)  # a crisp set would fall between two samples
+    if sets.decrease_slope == 0.0:
+        decrease = gaussian(z, sets.decrease_center, narrowest)
+    else:
+        decrease = sigmoid(z, sets.decrease_slope, sets.decrease_center)
     consequents = np.stack(
         [
             sigmoid(z, sets.increase_slope, sets.increase_center),
-            # A set narrower than the sampling would fall between two samples.
-            gaussian(
-                z, sets.maintain_center, max(sets.maintain_width, change_limit / (points - 1))
-            ),
-            sigmoid(z, sets.decrease_slope, sets.decrease_center),
+            gaussian(z, sets.maintain_center, max(sets.maintain_width, narrowest)),
+            decrease,
         ]
     )
     clipped = np.minimum(alpha[..., None], consequents)
@@ -197,7 +203,7 @@ def _log_sigmoid(x: FloatArray, slope: float, center: float) -> FloatArray:
 
 
 def _log_gaussian(x: FloatArray, center: float, width: float) -> FloatArray:
-    return -0.5 * ((x - center) / width) ** 2
+    return -0.5 * np.clip((x - center) / width, -_FAR, _FAR) ** 2
 
 
 def _log_firing(sets: FuzzySets, x: FloatArray) -> FloatArray:

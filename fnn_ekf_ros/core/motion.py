@@ -85,7 +85,7 @@ def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -
     Returns:
         `(..., 3)`: [dx, dy, dtheta] (m, m, rad).
     """
-    way, turn = control[..., 0], control[..., 1]
+    heading, way, turn = np.broadcast_arrays(heading, control[..., 0], control[..., 1])
     if model is MotionModel.PAPER:
         chord, direction = way, heading + turn
     else:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, parameter, refusal
 
 NODE_NAME = "localizer"
+SMALLEST_STD, LARGEST_STD = 1e-5, 1e3
+"""No sensor is better or worse; and in between no covariance becomes singular (m, rad)."""
 NOT_SET = (math.nan, math.nan, math.nan)
 
 
@@ -92,19 +94,19 @@ class LocalizerParameters(Parameters):
         (0.05, math.radians(3.0)),
         "Wheel noise of one 375 ms period: way, turn (sqrt of Q).",
         "[m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
     measurement_noise_std: tuple[float, float, float] = parameter(
         (0.1, 0.1, 0.134),
         "Noise of the laser fixes' x, y and of the compass (sqrt of R).",
         "[m, m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
     lrf_use_yaw: bool = parameter(False, "Use the laser fixes' yaw, beside the compass.")
     lrf_yaw_std: float = parameter(
-        0.134, "Noise of the laser fixes' yaw.", "rad", above=0.0, at_most=1e3
+        0.134, "Noise of the laser fixes' yaw.", "rad", at_least=SMALLEST_STD, at_most=LARGEST_STD
     )
     lrf_use_message_covariance: bool = parameter(
         False, "Take R of the laser fixes from their messages, times the adapted scale."
@@ -142,29 +144,29 @@ class LocalizerParameters(Parameters):
         (1e-4, 1e-4),
         "Smallest process noise the adaptation may set.",
         "[m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
     process_noise_std_max: tuple[float, float] = parameter(
         (10.0, 3.0),
         "Largest process noise the adaptation may set.",
         "[m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
     measurement_noise_std_min: tuple[float, float, float] = parameter(
         (1e-3, 1e-3, 1e-3),
         "Smallest measurement noise the adaptation may set (yaw for both).",
         "[m, m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
     measurement_noise_std_max: tuple[float, float, float] = parameter(
         (1e3, 1e3, 3.0),
         "Largest measurement noise the adaptation may set (yaw for both).",
         "[m, m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
 
     # Start
@@ -178,8 +180,8 @@ class LocalizerParameters(Parameters):
         (0.1, 0.1, 0.134),
         "How well initial_pose is known.",
         "[m, m, rad]",
-        above=0.0,
-        at_most=1e3,
+        at_least=SMALLEST_STD,
+        at_most=LARGEST_STD,
     )
 
     # Frames

@@ -112,6 +112,11 @@ class InputBuffer:
         left, right = (self._wheels[wheel].last_stamp_ns for wheel in Wheel)
         return None if left is None or right is None else min(left, right)
 
+    def wheels_known_at(self, stamp_ns: int) -> bool:
+        """Return whether both wheels had spoken by an instant."""
+        firsts = [self._wheels[wheel].first_stamp_ns for wheel in Wheel]
+        return all(first is not None and first <= stamp_ns for first in firsts)
+
     def counts_at(self, stamp_ns: int) -> Counts:
         """Return the counts at an instant."""
         return Counts(*(self._wheels[wheel].at(stamp_ns) for wheel in Wheel))

@@ -191,7 +191,9 @@ class Pipeline:
         state: FilterState | Waiting
         result: StepResult | None = None
         if isinstance(before.state, Waiting):
-            state = wait(self._model, before.state, period.step)
+            state = before.state
+            if self._inputs.wheels_known_at(before.stamp_ns):
+                state = wait(self._model, before.state, period.step)
         else:
             state, result = step(self._model, before.state, period.step)
         state = self._set_pose(state, period)

@@ -1,4 +1,4 @@
-"""Waiting for the start: no estimate until x, y and yaw have been measured."""
+"""Waiting for the start: no estimate until both wheels, x, y and yaw have been heard of."""
 
 from typing import NamedTuple
 

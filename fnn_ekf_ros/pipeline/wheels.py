@@ -17,6 +17,11 @@ class WheelTrack:
         self._raw: list[int | float] = []
 
     @property
+    def first_stamp_ns(self) -> int | None:
+        """Time of the oldest reading that is kept [ns]; None without any."""
+        return self._stamps[0] if self._stamps else None
+
+    @property
     def last_stamp_ns(self) -> int | None:
         """Time of the newest reading [ns]; None without any."""
         return self._stamps[-1] if self._stamps else None

@@ -34,7 +34,7 @@ class Recorder:
         self._node = Node("recorder", context=self._context, use_global_arguments=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        for topic, type_name in topics.items():
+        self._subscriptions = [
             self._node.create_subscription(
                 message_class(type_name),
                 topic,
@@ -42,14 +42,16 @@ class Recorder:
                 QoSProfile(depth=QUEUE_DEPTH),
                 raw=True,
             )
+            for topic, type_name in topics.items()
+        ]
 
     def spin_once(self, timeout_s: float) -> None:
         """Take in what has arrived, waiting for it up to a time [s]."""
         self._executor.spin_once(timeout_sec=timeout_s)
 
-    def publishers(self, topic: str) -> int:
-        """Return how many publishers of a topic are known."""
-        return int(self._node.count_publishers(topic))
+    def connected(self) -> bool:
+        """Return whether every topic has a publisher whose messages arrive here."""
+        return all(entry.get_publisher_count() > 0 for entry in self._subscriptions)
 
     def __enter__(self) -> Self:
         """Open the bag."""

@@ -26,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth-topic", default="/ground_truth", metavar="TOPIC", help="(/ground_truth)"
     )
     parser.add_argument(
+        "--truth-bag", metavar="BAG", type=Path, help="take the ground truth from this bag"
+    )
+    parser.add_argument(
         "--labels", nargs="+", metavar="LABEL", help="names of the runs, one for each bag"
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the numbers as JSON")
@@ -39,11 +42,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise FnnEkfError(f"--labels: {len(labels)} labels, expected {len(arguments.bags)}")
     scores: dict[str, Score] = {}
     tracks: dict[str, Track] = {}
-    truth = None
+    truths: dict[Path, Track] = {}
     for label, path in zip(labels, arguments.bags, strict=True):
         with BagReader(path) as bag:
-            truth = read_track(bag, arguments.truth_topic)
             tracks[label] = read_track(bag, arguments.odom_topic)
+        source = arguments.truth_bag or path
+        if source not in truths:
+            with BagReader(source) as bag:
+                truths[source] = read_track(bag, arguments.truth_topic)
+        truth = truths[source]
         result = score(tracks[label], truth)
         if result is None:
             raise BagError(
@@ -54,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(format_table(scores))
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(_plain(scores), indent=2) + "\n")
-    if arguments.plot is not None and truth is not None:
+    if arguments.plot is not None:
         from fnn_ekf_ros.tools.plots import plot_tracks
 
         plot_tracks(arguments.plot, truth, tracks)

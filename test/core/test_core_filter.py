@@ -132,7 +132,6 @@ def test_one_period_serves_a_whole_batch(
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.xfail(strict=True, reason="displacement() does not broadcast headings over controls")
 def test_one_period_with_late_measurements_serves_a_whole_batch(
     make_model: Callable[..., FilterModel],
 ) -> None:
@@ -258,7 +257,6 @@ def test_missing_rows_may_hold_anything(make_model: Callable[..., FilterModel]) 
     assert bytes_of(*clean) == bytes_of(*dirty)
 
 
-@pytest.mark.xfail(strict=True, reason="0 times not-a-number when R's masked rows are cleared")
 def test_missing_rows_may_hold_anything_in_the_reported_covariance(
     make_model: Callable[..., FilterModel],
 ) -> None:
@@ -387,9 +385,6 @@ def test_mode_q_projects_on_the_heading_at_the_end_of_the_step(
     assert changes[0] < 0.0 < changes[1]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the change is added to the filter's own R, not to the R that was used"
-)
 def test_reported_covariance_moves_by_the_network_output(
     make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation]
 ) -> None:

@@ -1,0 +1,37 @@
+# make demo: a recorded bag through the live localizer, a table and a picture.
+# make test: lint, types, unit, property and integration tests, colcon build and colcon test.
+# Both set up .venv first, with pinned versions; nothing else is installed.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+COLCON := $(BIN)/colcon --log-base build/log
+COLCON_PATHS := --build-base build/colcon --install-base build/install
+
+# Own domain, and nothing leaves this machine.
+export ROS_DOMAIN_ID ?= 87
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export ROS_LOG_DIR := $(CURDIR)/build/ros_log
+
+.PHONY: demo test lint clean
+
+demo: $(VENV)/.installed
+	$(BIN)/python scripts/demo.py
+
+test: $(VENV)/.installed lint
+	$(COLCON) build --paths . $(COLCON_PATHS)
+	$(COLCON) test --paths . $(COLCON_PATHS) --return-code-on-test-failure \
+	  --event-handlers console_direct+
+	$(COLCON) test-result --test-result-base build/colcon --verbose
+
+lint: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+$(VENV)/.installed: requirements.txt requirements-ros.txt setup.py package.xml pyproject.toml
+	sh scripts/make_venv.sh "$(PYTHON)" "$(VENV)"
+	touch $@
+
+clean:
+	rm -rf build demo $(VENV)
