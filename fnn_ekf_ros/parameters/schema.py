@@ -176,7 +176,7 @@ def _checked_number(name: str, spec: Spec, value: Any, *, whole: bool) -> int | 
     kind = "a whole number" if whole else "a number"
     expected = " ".join(filter(None, [kind, spec.limits, f"[{spec.unit}]" if spec.unit else ""]))
     number = _number(value)
-    if number is None or (whole and number != int(number)):
+    if number is None or (whole and not number.is_integer()):
         raise refusal(name, value, expected)
     if not _inside(spec, number):
         if spec.required and number == 0.0:

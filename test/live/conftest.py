@@ -1,0 +1,133 @@
+"""Real nodes in processes of their own, on a ROS domain of their own."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE_S = 60.0
+
+
+def prefix_of_workspace() -> Path | None:
+    """Return where colcon has installed the package, if its environment is active."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix and (Path(prefix) / "lib" / "fnn_ekf_ros").is_dir():
+            return Path(prefix)
+    return None
+
+
+class Processes:
+    """Starts the package's executables the way `ros2 run` does, and ends them."""
+
+    def __init__(self, folder: Path, domain: int) -> None:
+        self.folder = folder
+        self.environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(folder / "log"),
+            "PYTHONUNBUFFERED": "1",
+        }
+        if prefix_of_workspace() is None:
+            self.environment["PYTHONPATH"] = str(ROOT)
+        self._running: list[subprocess.Popen[str]] = []
+
+    def command(self, name: str, *arguments: object) -> list[str]:
+        prefix = prefix_of_workspace()
+        head = (
+            [sys.executable, "-m", "fnn_ekf_ros", name]
+            if prefix is None
+            else [str(prefix / "lib" / "fnn_ekf_ros" / name)]
+        )
+        return head + [str(argument) for argument in arguments]
+
+    def start(self, name: str, *arguments: object) -> subprocess.Popen[str]:
+        """Start a node in the background; its output goes to files."""
+        log = self.folder / f"{name}-{len(self._running)}"
+        with (log.with_suffix(".out")).open("w") as out, (log.with_suffix(".err")).open("w") as err:
+            process = subprocess.Popen(
+                self.command(name, *arguments), env=self.environment, stdout=out, stderr=err,
+                text=True, cwd=self.folder,
+            )  # fmt: skip
+        process.log = log  # type: ignore[attr-defined]
+        self._running.append(process)
+        return process
+
+    def run(self, name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+        """Run a command to its end."""
+        return subprocess.run(
+            self.command(name, *arguments), env=self.environment, capture_output=True, text=True,
+            timeout=300.0, cwd=self.folder,
+        )  # fmt: skip
+
+    def stop(self, process: subprocess.Popen[str], number: int = signal.SIGINT) -> str:
+        """End a node by a signal; check its exit; return what it wrote."""
+        process.send_signal(number)
+        code = process.wait(timeout=PATIENCE_S)
+        text = self.output(process)
+        assert code == 0, text
+        assert "Traceback" not in text
+        return text
+
+    def output(self, process: subprocess.Popen[str]) -> str:
+        log: Path = process.log  # type: ignore[attr-defined]
+        return log.with_suffix(".out").read_text() + log.with_suffix(".err").read_text()
+
+    def kill_all(self) -> None:
+        for process in self._running:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def wait_until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> None:
+    """Call a condition, which should spin, until it holds."""
+    deadline = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {patience_s:g} s for {what}"
+
+
+@pytest.fixture
+def patiently() -> Callable[..., None]:
+    return wait_until
+
+
+@pytest.fixture(scope="session")
+def domain() -> int:
+    """A domain of this test run's own, in the range that is safe with every kernel."""
+    return 1 + os.getpid() % 90
+
+
+@pytest.fixture
+def processes(tmp_path: Path, domain: int) -> Iterator[Processes]:
+    started = Processes(tmp_path, domain)
+    yield started
+    started.kill_all()
+
+
+@pytest.fixture
+def ros_environment(monkeypatch: pytest.MonkeyPatch, processes: Processes) -> None:
+    """The same domain for nodes in this process."""
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
+        monkeypatch.setenv(name, processes.environment[name])
+
+
+@pytest.fixture
+def bags() -> Path:
+    return ROOT / "bags"
+
+
+@pytest.fixture
+def recordings() -> Path:
+    """Recordings of real robots that are not part of the project."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the recordings of real robots are not on this machine")
+    return folder

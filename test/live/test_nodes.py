@@ -1,0 +1,297 @@
+"""The nodes as a user runs them: processes, topics, parameters, services, signals."""
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import fields_of
+
+pytestmark = pytest.mark.live
+PERIOD_NS = 375_000_000
+ROBOT = ["--ros-args", "-p", "publish_clock:=true", "-p", "real_time_factor:=8.0"]
+GEOMETRY = [
+    "-p", "wheel_radius:=0.025", "-p", "wheel_separation:=0.6",
+    "-p", "encoder_counts_per_revolution:=500.0",
+]  # fmt: skip
+LOCALIZER = ["--ros-args", *GEOMETRY, "-p", "use_sim_time:=true"]
+
+
+class Listener:
+    """A node of the test's own."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node = Node("listener", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def collect(self, kind: Any, topic: str) -> list[Any]:
+        """Return a list that fills with a topic's messages."""
+        received: list[Any] = []
+        self.node.create_subscription(kind, topic, received.append, 1000)
+        return received
+
+    def spin(self) -> None:
+        self.executor.spin_once(timeout_sec=0.05)
+
+    def call(self, kind: Any, name: str, request: Any, patiently: Callable[..., None]) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(kind, name)
+        patiently(lambda: self.spin() or client.service_is_ready(), f"service {name}")
+        future = client.call_async(request)
+        patiently(lambda: self.spin() or future.done(), f"answer of {name}")
+        return future.result()
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def listener(ros_environment: None) -> Iterator[Listener]:
+    opened = Listener()
+    yield opened
+    opened.close()
+
+
+def stamps_ns(received: list[Any]) -> list[int]:
+    return [messages.stamp_ns(message) for message in received]
+
+
+def truth_at(truth: list[Odometry]) -> dict[int, np.ndarray]:
+    return {messages.stamp_ns(message): messages.planar_pose(message) for message in truth}
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_fake_robot_and_localizer_without_launch(
+    processes: Any, listener: Listener, patiently: Callable[..., None], ending: int
+) -> None:
+    """Two processes: odom every 375 ms of ROS time, each one near the truth, clean exits."""
+    odom = listener.collect(Odometry, "odom")
+    truth = listener.collect(Odometry, "ground_truth")
+    noise = listener.collect(Float64MultiArray, "localizer/noise")
+    diagnostics = listener.collect(DiagnosticArray, "/diagnostics")
+    localizer = processes.start("localizer", *LOCALIZER)
+    robot = processes.start("fake_robot", *ROBOT, "-p", "path:=figure_eight")
+    patiently(lambda: listener.spin() or len(odom) >= 60, "60 odom")
+    processes.stop(localizer, ending)
+    processes.stop(robot, ending)
+
+    stamps = stamps_ns(odom)
+    assert set(np.diff(stamps)) == {PERIOD_NS}
+    assert all(stamp % PERIOD_NS == 0 for stamp in stamps)
+    poses = truth_at(truth)
+    errors = [messages.planar_pose(m) - poses[s] for m, s in zip(odom, stamps) if s in poses]
+    assert len(errors) > 40
+    assert max(np.hypot(error[0], error[1]) for error in errors) < 0.5
+    for message in odom:
+        assert message.header.frame_id == "map"
+        assert message.child_frame_id == "base_link"
+        covariance = np.reshape(message.pose.covariance, (6, 6))
+        np.testing.assert_array_equal(np.diag(covariance)[2:5], 1e-9)
+        assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+    assert all(len(message.data) == len(messages.NOISE_FIELDS) for message in noise)
+    assert noise[0].layout.dim[0].label.split(",") == list(messages.NOISE_FIELDS)
+    names = {status.name for message in diagnostics for status in message.status}
+    parts = ("encoders", "compass", "lrf_pose", "filter", "time")
+    assert names == {f"localizer: {part}" for part in parts}
+    last = {status.name: status for status in diagnostics[-1].status}
+    assert last["localizer: filter"].level == b"\x00"
+
+
+def test_robots_in_namespaces_do_not_hear_each_other(
+    processes: Any, listener: Listener, patiently: Callable[..., None], tmp_path: Path
+) -> None:
+    """One parameter file, two namespaces; the localizer without a robot of its own stays silent."""
+    file = tmp_path / "robots.yaml"
+    file.write_text(
+        "/**/localizer:\n  ros__parameters:\n    wheel_radius: 0.025\n    wheel_separation: 0.6\n"
+        "    encoder_counts_per_revolution: 500\n    use_sim_time: true\n"
+    )
+    one = listener.collect(Odometry, "/one/odom")
+    two = listener.collect(Odometry, "/two/odom")
+    for name in ("one", "two"):
+        processes.start("localizer", "--ros-args", "--params-file", file, "-r", f"__ns:=/{name}")
+    processes.start("fake_robot", *ROBOT, "-r", "__ns:=/one")
+    patiently(lambda: listener.spin() or len(one) >= 10, "odom of robot one")
+    assert not two
+
+
+def test_services(processes: Any, listener: Listener, patiently: Callable[..., None]) -> None:
+    odom = listener.collect(Odometry, "odom")
+    processes.start("localizer", *LOCALIZER, "-p", "adaptation:=r", "-p", "innovation_window:=6")
+    processes.start("fake_robot", *ROBOT)
+    patiently(lambda: listener.spin() or len(odom) >= 20, "odom")
+    off = listener.call(
+        SetBool, "localizer/enable_adaptation", SetBool.Request(data=False), patiently
+    )
+    assert off.success
+    noise = listener.collect(Float64MultiArray, "localizer/noise")
+    patiently(lambda: listener.spin() or len(noise) >= 10, "noise")
+    held = np.array([message.data[:6] for message in noise])
+    assert np.all(held == held[0]), "the noise moves although adaptation is disabled"
+    assert held[0, 0] != pytest.approx(0.01, rel=1e-9), "the noise had been adapted before"
+
+    assert listener.call(SetBool, "localizer/enable_adaptation", SetBool.Request(data=True),
+                         patiently).success  # fmt: skip
+    noise.clear()
+    patiently(
+        lambda: listener.spin() or len({message.data[0] for message in noise}) > 3, "adaptation"
+    )
+    assert listener.call(Trigger, "localizer/reset", Trigger.Request(), patiently).success
+    noise.clear()
+    patiently(lambda: listener.spin() or noise, "noise after the reset")
+    assert noise[0].data[0] == pytest.approx(0.01, rel=1e-9)
+
+
+def test_parameters_are_those_of_the_dataclass(
+    processes: Any, listener: Listener, patiently: Callable[..., None]
+) -> None:
+    processes.start("localizer", *LOCALIZER)
+    names = listener.call(
+        ListParameters, "localizer/list_parameters", ListParameters.Request(), patiently
+    ).result.names
+    specs = {name: spec for name, spec, _ in fields_of(LocalizerParameters)}
+    declared = {name for name in names if not name.startswith("qos_overrides.")}
+    assert declared - {"use_sim_time", "start_type_description_service"} == set(specs)
+    described = listener.call(
+        DescribeParameters, "localizer/describe_parameters",
+        DescribeParameters.Request(names=sorted(specs)), patiently,
+    ).descriptors  # fmt: skip
+    assert [d.description for d in described] == [specs[name].doc for name in sorted(specs)]
+    assert all(descriptor.read_only for descriptor in described)
+    period = described[sorted(specs).index("period")].floating_point_range[0]
+    assert (period.from_value, period.to_value) == (0.01, 10.0)
+    change = Parameter("period", value=1.0).to_parameter_msg()
+    answer = listener.call(
+        SetParameters, "localizer/set_parameters", SetParameters.Request(parameters=[change]),
+        patiently,
+    )  # fmt: skip
+    assert not answer.results[0].successful
+
+
+def test_fake_robot_follows_cmd_vel_and_stops_without(
+    processes: Any, listener: Listener, patiently: Callable[..., None]
+) -> None:
+    truth = listener.collect(Odometry, "ground_truth")
+    commands = listener.node.create_publisher(Twist, "cmd_vel", 10)
+    processes.start("fake_robot", *ROBOT, "-p", "path:=cmd_vel", "-p", "slip_std:=[0.0, 0.0]")
+    command = Twist()
+    command.linear.x = 0.2
+
+    def driven() -> float:
+        return float(truth[-1].pose.pose.position.x) if truth else 0.0
+
+    patiently(
+        lambda: listener.spin() or commands.publish(command) or driven() > 0.5, "the robot to go"
+    )
+    patiently(lambda: listener.spin() or truth[-1].twist.twist.linear.x == 0.0, "the robot to stop")
+    assert truth[-1].pose.pose.position.y == pytest.approx(0.0, abs=0.05)
+
+
+def test_hostile_messages_do_not_end_the_node(
+    processes: Any, listener: Listener, patiently: Callable[..., None]
+) -> None:
+    odom = listener.collect(Odometry, "odom")
+    diagnostics = listener.collect(DiagnosticArray, "/diagnostics")
+    localizer = processes.start("localizer", *LOCALIZER)
+    processes.start("fake_robot", *ROBOT)
+    fixes = listener.node.create_publisher(PoseWithCovarianceStamped, "lrf_pose", 100)
+    compass = listener.node.create_publisher(Imu, "compass", 100)
+    patiently(
+        lambda: (
+            listener.spin()
+            or (odom and fixes.get_subscription_count() and compass.get_subscription_count())
+        ),
+        "the localizer",
+    )
+    for value in (float("nan"), float("inf"), 1e300):
+        for frame in ("map", "", "elsewhere"):
+            fix = PoseWithCovarianceStamped()
+            fix.header.frame_id = frame
+            fix.header.stamp = odom[-1].header.stamp
+            fix.pose.pose.position.x = value
+            fixes.publish(fix)
+        yaw = Imu()
+        yaw.header.stamp = odom[-1].header.stamp
+        yaw.orientation.w = value
+        compass.publish(yaw)
+    before = len(odom)
+    patiently(lambda: listener.spin() or len(odom) >= before + 20, "odom after the attack")
+    refusals = [
+        status.message
+        for message in diagnostics
+        for status in message.status
+        if status.message.startswith("refused")
+    ]
+    assert refusals
+    for message in odom:
+        assert np.all(np.isfinite(messages.planar_pose(message)))
+        assert np.all(np.isfinite(message.pose.covariance))
+    assert "refused" in processes.stop(localizer)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "'wheel_radius' is not set"),
+        (["-p", "wheel_radius:=-0.1"], "'wheel_radius' is -0.1: expected a number greater than 0"),
+        ([*GEOMETRY, "-p", "perod:=0.5"], "unknown parameter 'perod': did you mean 'period'?"),
+        ([*GEOMETRY, "-p", "period:=fast"], "'period' is 'fast': expected a number"),
+        ([*GEOMETRY, "-p", "period:=99.0"], "'period' is 99.0: expected a number"),
+        ([*GEOMETRY, "-p", "adaptation:=off"], "'adaptation' is False: expected one of none, r"),
+        ([*GEOMETRY, "-p", "process_noise_std:=[0.02, 1]"], "expected a list of one type"),
+        ([*GEOMETRY, "-p", "initial_pose:=[]"], "'initial_pose' has no value"),
+        ([*GEOMETRY, "-p", "membership_file:=/nowhere"], "membership_file '/nowhere'"),
+        (["--params-file", "/nowhere.yaml"], "parameter file '/nowhere.yaml'"),
+    ],
+)
+def test_wrong_parameters_end_the_node_with_one_line(
+    processes: Any, arguments: list[str], expected: str
+) -> None:
+    ended = processes.run("localizer", "--ros-args", *arguments)
+    assert ended.returncode == 1
+    lines = ended.stderr.strip().splitlines()
+    assert len(lines) == 1, ended.stderr
+    assert lines[0].startswith("localizer: ")
+    assert expected in lines[0]
+
+
+def test_integers_count_as_floats(
+    processes: Any, listener: Listener, patiently: Callable[..., None]
+) -> None:
+    odom = listener.collect(Odometry, "odom")
+    processes.start(
+        "localizer", *LOCALIZER, "-p", "encoder_counts_per_revolution:=500",
+        "-p", "initial_pose:=[3, 0, 1]",
+    )  # fmt: skip
+    processes.start("fake_robot", *ROBOT)
+    patiently(lambda: listener.spin() or odom, "odom")
+
+
+def test_unknown_fake_robot_parameter_ends_it_with_one_line(processes: Any) -> None:
+    ended = processes.run("fake_robot", "--ros-args", "-p", "path:=moon")
+    assert ended.returncode == 1
+    assert ended.stderr.strip().splitlines() == [
+        "fake_robot: parameter 'path' is 'moon': expected one of square, round, figure_eight, "
+        "sim1, sim2, cmd_vel"
+    ]

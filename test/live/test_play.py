@@ -1,0 +1,125 @@
+"""Recordings played into live topics, and what the live localizer makes of them."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.bag_files import BagReader
+from fnn_ekf_ros.ros.record import Recorder
+from fnn_ekf_ros.tools.evaluate import read_track
+from fnn_ekf_ros.tools.scoring import Score, score
+
+pytestmark = pytest.mark.live
+GOOD_NOISE = [
+    "-p", "process_noise_std:=[0.04, 0.08]", "-p", "measurement_noise_std:=[0.8, 0.8, 0.3]",
+    "-p", "lrf_yaw_std:=0.3",
+]  # fmt: skip
+
+
+def played(
+    processes: Any, patiently: Callable[..., None], bag: Path, options: list[str], topics: list[str]
+) -> Score:
+    """Play a bag at ten times real time into a live localizer and score its odom."""
+    out = processes.folder / "live"
+    with Recorder(out, {"/odom": messages.ODOMETRY_TYPE}) as recorder:
+        localizer = processes.start("localizer", "--ros-args", *options, "-p", "use_sim_time:=true")
+        patiently(lambda: recorder.spin_once(0.05) or recorder.connected(), "the localizer")
+        player = processes.start(
+            "play", bag, "--rate", 10, "--clock", "--topics", *topics,
+            "--wait-for-subscribers", 60,
+        )  # fmt: skip
+        patiently(
+            lambda: recorder.spin_once(0.05) or player.poll() is not None, "the player", 400.0
+        )
+        assert player.returncode == 0, processes.output(player)
+        processes.stop(localizer)
+        until = time.monotonic() + 0.5
+        while time.monotonic() < until:
+            recorder.spin_once(0.05)
+    return scored(out, bag)
+
+
+def scored(estimate: Path, truth: Path) -> Score:
+    with BagReader(estimate) as live, BagReader(truth) as recorded:
+        result = score(read_track(live, "/odom"), read_track(recorded, "/ground_truth"))
+    assert result is not None
+    return result
+
+
+def replayed(processes: Any, bag: Path, options: list[str]) -> Score:
+    out = processes.folder / "replayed"
+    done = processes.run("replay", bag, out, *options)
+    assert done.returncode == 0, done.stderr
+    return scored(out, bag)
+
+
+def test_live_equals_replay_on_a_simulated_bag(
+    processes: Any, ros_environment: None, patiently: Callable[..., None]
+) -> None:
+    bag = processes.folder / "bag"
+    made = processes.run("simulate", bag, "--duration", 120, "-p", "seed:=7", "-p", "path:=sim1")
+    assert made.returncode == 0, made.stderr
+    file = ["--params-file", f"{bag}.yaml", "-p", "adaptation:=r"]
+    live = played(
+        processes, patiently, bag, file, ["left_ticks", "right_ticks", "compass", "lrf_pose"]
+    )
+    offline = replayed(processes, bag, ["--params", f"{bag}.yaml", "-p", "adaptation:=r"])
+    assert live.count >= 0.95 * offline.count
+    assert live.rmse_position == pytest.approx(offline.rmse_position, rel=0.05)
+    assert live.rmse_theta == pytest.approx(offline.rmse_theta, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "truth", "worst_position"),
+    [
+        ("mrclam1_robot1", ["gt_x", "gt_y", "gt_theta"], 0.25),
+        ("brenner_robot4", ["gt_x_aligned", "gt_y_aligned"], 0.25),
+    ],
+)
+def test_live_equals_replay_on_a_real_robot(
+    processes: Any,
+    ros_environment: None,
+    patiently: Callable[..., None],
+    recordings: Path,
+    name: str,
+    truth: list[str],
+    worst_position: float,
+) -> None:
+    bag = processes.folder / "bag"
+    made = processes.run(
+        "import-csv", recordings / f"{name}.csv", bag, "--fixes", recordings / f"{name}_fixes.csv",
+        "--geometry", recordings / f"{name}.json", "--truth-columns", *truth,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *GOOD_NOISE])
+    live = played(
+        processes, patiently, bag, ["--params-file", f"{bag}.yaml", *GOOD_NOISE],
+        ["left_ticks", "right_ticks", "lrf_pose"],
+    )  # fmt: skip
+    print(f"{name}: live {live}, offline {offline}")
+    assert offline.rmse_position <= worst_position
+    assert live.rmse_position == pytest.approx(offline.rmse_position, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["nowhere"], "bag 'nowhere' does not exist"),
+        (["BAG", "--topics", "moon"], "has no topic /moon"),
+        (["BAG", "--rate", "0"], "--rate 0: expected"),
+        (["BAG", "--wait-for-subscribers", "0.1"], "no subscriber after 0.1 s on"),
+    ],
+)
+def test_wrong_play_arguments_end_it_with_one_line(
+    processes: Any, bags: Path, arguments: list[str], expected: str
+) -> None:
+    given = [str(bags / "round") if word == "BAG" else word for word in arguments]
+    ended = processes.run("play", *given)
+    assert ended.returncode == 1
+    lines = ended.stderr.strip().splitlines()
+    assert len(lines) == 1, ended.stderr
+    assert expected in lines[0]

@@ -1,0 +1,394 @@
+"""Periods: when they close, what the wheels did in them, which measurements they take."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix, Wheel, WheelCount
+from fnn_ekf_ros.pipeline.pipeline import Pipeline
+
+PERIOD_NS = 375_000_000
+TIMEOUT_NS = 500_000_000
+METRES_PER_COUNT = math.pi * 0.05 / 500.0
+AT_ORIGIN = {"initial_pose": [0.0, 0.0, 0.0], "initial_pose_std": [0.1, 0.1, 0.1]}
+MakePipeline = Callable[..., Pipeline]
+Feed = Callable[[Pipeline, Sequence[Any]], list[Output]]
+Same = Callable[[list[Output], list[Output]], None]
+
+
+def seconds(time: float) -> int:
+    return round(time * 1e9)
+
+
+def ticks(stamp_ns: int, left: int, right: int) -> list[WheelCount]:
+    return [WheelCount(stamp_ns, Wheel.LEFT, left), WheelCount(stamp_ns, Wheel.RIGHT, right)]
+
+
+def in_time(events: Sequence[Any], arrival: Any) -> list[Any]:
+    """Return the events as arriving at their stamps."""
+    return [arrival(event.stamp_ns, event) for event in events]
+
+
+def means(outputs: list[Output]) -> FloatArray:
+    return np.array([o.estimate.state.mean for o in outputs if o.estimate is not None])
+
+
+def arc_pose(speed: float, rate: float, time: float) -> FloatArray:
+    """Return where a robot is that left the origin on an arc."""
+    turn = rate * time
+    if rate == 0.0:
+        return np.array([speed * time, 0.0, 0.0])
+    radius = speed / rate
+    heading = math.remainder(turn, 2.0 * math.pi)
+    return np.array([radius * math.sin(turn), radius * (1.0 - math.cos(turn)), heading])
+
+
+@pytest.mark.parametrize("period", [0.375, 0.1, 0.05, 1.0 / 3.0, 2.5])
+@pytest.mark.parametrize("start_ns", [seconds(10.1), seconds(1.7e9) + 123_456_789, 1])
+def test_periods_end_at_integer_multiples(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, period: float, start_ns: int
+) -> None:
+    events = [e for i in range(200) for e in ticks(start_ns + i * 70_000_000, i, i)]
+    outputs = feed(make_pipeline(period=period, **AT_ORIGIN), in_time(events, arrival))
+    stamps = [output.stamp_ns for output in outputs]
+    period_ns = round(period * 1e9)
+    first = (start_ns - 1) // period_ns + 1
+    last = (start_ns + 199 * 70_000_000) // period_ns
+    assert stamps == [number * period_ns for number in range(first, last + 1)]
+    assert [o.estimate.stamp_ns for o in outputs if o.estimate is not None] == stamps
+
+
+def test_an_event_on_a_boundary_belongs_to_the_period_that_ends_there(
+    make_pipeline: MakePipeline,
+) -> None:
+    boundary = 20 * PERIOD_NS
+    pipeline = make_pipeline(**AT_ORIGIN)
+    outputs = pipeline.add(ticks(boundary, 0, 0)[0], boundary)
+    outputs += pipeline.add(CompassYaw(boundary, 0.5), boundary)
+    assert outputs == []
+    (output,) = pipeline.add(ticks(boundary, 0, 0)[1], boundary)
+    assert output.stamp_ns == boundary
+    assert output.estimate is not None
+    assert output.estimate.result is not None
+    np.testing.assert_array_equal(output.estimate.result.available, [False, False, True, False])
+
+
+@pytest.mark.parametrize("first", list(Wheel))
+def test_a_period_closes_when_both_wheels_are_known(
+    make_pipeline: MakePipeline, first: Wheel
+) -> None:
+    pipeline = make_pipeline(**AT_ORIGIN)
+    begin, second = 10 * PERIOD_NS, Wheel(1 - first)
+    for stamp in (begin + 1, begin + PERIOD_NS // 2, begin + PERIOD_NS - 1):
+        for wheel in Wheel:
+            assert pipeline.add(WheelCount(stamp, wheel, 0), stamp) == []
+    after = begin + PERIOD_NS + 1000
+    assert pipeline.add(WheelCount(after, first, 0), after) == []
+    assert pipeline.add(WheelCount(begin + PERIOD_NS - 1, second, 0), after + 1) == []
+    outputs = pipeline.add(WheelCount(begin + PERIOD_NS, second, 0), after + 2)
+    assert [output.stamp_ns for output in outputs] == [begin + PERIOD_NS]
+
+
+@pytest.mark.parametrize("timeout", [0.5, 0.0, 3.0])
+@pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
+def test_a_period_closes_without_the_wheels_after_the_timeout(
+    make_pipeline: MakePipeline, timeout: float, speaking: list[Wheel]
+) -> None:
+    pipeline = make_pipeline(encoder_timeout=timeout, **AT_ORIGIN)
+    begin = 10 * PERIOD_NS
+    for wheel in Wheel:
+        pipeline.add(WheelCount(begin + 1, wheel, 0), begin + 1)
+    deadline = begin + PERIOD_NS + seconds(timeout)
+    for wheel in speaking:
+        assert pipeline.add(WheelCount(deadline - 1, wheel, 0), deadline - 1) == []
+    assert pipeline.advance(deadline - 1) == []
+    assert [output.stamp_ns for output in pipeline.advance(deadline)] == [begin + PERIOD_NS]
+    assert pipeline.advance(deadline + PERIOD_NS - 1) == []
+    assert len(pipeline.advance(deadline + 3 * PERIOD_NS)) == 3
+
+
+def test_a_period_closes_without_any_wheel_ever_seen(make_pipeline: MakePipeline) -> None:
+    pipeline = make_pipeline(**AT_ORIGIN)
+    boundary = 10 * PERIOD_NS
+    assert pipeline.add(CompassYaw(boundary, 0.4), boundary) == []
+    assert pipeline.advance(boundary + TIMEOUT_NS - 1) == []
+    (output,) = pipeline.advance(boundary + TIMEOUT_NS)
+    assert output.estimate is not None
+    assert output.estimate.state.mean[2] > 0.1
+
+
+def test_several_periods_close_at_once_in_order(make_pipeline: MakePipeline, feed: Feed) -> None:
+    pipeline = make_pipeline(encoder_timeout=10.0, **AT_ORIGIN)
+    for event in ticks(10 * PERIOD_NS + 1, 0, 0):
+        pipeline.add(event, event.stamp_ns)
+    stamp = 15 * PERIOD_NS + 1
+    outputs = [o for event in ticks(stamp, 50, 50) for o in pipeline.add(event, stamp)]
+    assert [o.stamp_ns for o in outputs] == [n * PERIOD_NS for n in range(11, 16)]
+    ways = np.diff(means(outputs)[:, 0])
+    np.testing.assert_allclose(ways, 10.0 * METRES_PER_COUNT, rtol=1e-6)
+
+
+def test_each_wheel_is_interpolated_linearly_on_its_own(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any
+) -> None:
+    rng = np.random.default_rng(4)
+    stamps = [np.cumsum(rng.integers(10_000_000, 90_000_000, 120)) + seconds(7) for _ in Wheel]
+    counts = [np.cumsum(rng.integers(-30, 60, 120)) for _ in Wheel]
+    events = [
+        WheelCount(int(stamp), wheel, int(count))
+        for wheel in Wheel
+        for stamp, count in zip(stamps[wheel], counts[wheel], strict=True)
+    ]
+    arrivals = sorted(in_time(events, arrival), key=lambda a: a.now_ns)
+    outputs = feed(make_pipeline(**AT_ORIGIN), arrivals)
+    assert len(outputs) > 10
+    ends = np.array([output.stamp_ns for output in outputs])
+    begins = ends - PERIOD_NS
+    left, right = (
+        np.interp(ends, stamps[wheel], counts[wheel])
+        - np.interp(begins, stamps[wheel], counts[wheel])
+        for wheel in Wheel
+    )
+    expected = np.stack(
+        [0.5 * (left + right) / 0.375, (right - left) / 0.6 / 0.375], axis=-1
+    ) * METRES_PER_COUNT  # fmt: skip
+    twists = np.array([o.estimate.twist for o in outputs if o.estimate is not None])
+    np.testing.assert_allclose(twists, expected, rtol=1e-7, atol=1e-9)
+
+
+def wrapped(count: int, bits: int, signed: bool) -> int:
+    """Return a count as a counter of so many bits shows it."""
+    shown = count % 2**bits
+    return shown - 2**bits if signed and shown >= 2 ** (bits - 1) else shown
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(data=st.data(), bits=st.integers(8, 32), signed=st.booleans())
+def test_a_wrapping_counter_gives_what_one_without_wrapping_gives(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same,
+    data: st.DataObject, bits: int, signed: bool,
+) -> None:  # fmt: skip
+    half = 2 ** (bits - 1)
+    largest = min(half - 1, 10**6)
+    start = data.draw(st.tuples(*[st.integers(0, 2**bits - 1)] * 2))
+    steps = data.draw(
+        st.lists(st.tuples(*[st.integers(-largest, largest)] * 2), min_size=8, max_size=16)
+    )
+    counts = np.cumsum(np.array([(0, 0), *steps], dtype=object), axis=0)
+    plain, wrapping = [], []
+    for number, (left, right) in enumerate(counts):
+        stamp = seconds(5.0 + 0.2 * number)
+        plain += in_time(ticks(stamp, left, right), arrival)
+        shown = (wrapped(start[0] + left, bits, signed), wrapped(start[1] + right, bits, signed))
+        wrapping += in_time(ticks(stamp, *shown), arrival)
+    reference = feed(make_pipeline(encoder_bits=32, **AT_ORIGIN), plain)
+    outputs = feed(make_pipeline(encoder_bits=bits, **AT_ORIGIN), wrapping)
+    assert len(outputs) >= 4
+    same_estimates(outputs, reference)
+
+
+@pytest.mark.parametrize(
+    ("bits", "start"), [(8, 120), (8, -128), (16, 65535), (32, 2**31 - 3), (32, 2**32 - 1)]
+)
+def test_a_counter_that_wraps_does_not_move_the_robot(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, bits: int, start: int
+) -> None:
+    arrivals = [
+        entry
+        for number in range(60)
+        for entry in in_time(
+            ticks(seconds(3.0 + 0.05 * number), *(wrapped(start + 7 * number, bits, True),) * 2),
+            arrival,
+        )
+    ]
+    outputs = feed(make_pipeline(encoder_bits=bits, **AT_ORIGIN), arrivals)
+    expected = [7 * METRES_PER_COUNT * 7.5 * i for i in range(len(outputs))]
+    np.testing.assert_allclose(means(outputs)[:, 0], expected, atol=1e-7)
+    np.testing.assert_array_equal(means(outputs)[:, 1:], 0.0)
+
+
+@pytest.mark.parametrize(("left", "right"), [*itertools.product([False, True], repeat=2)])
+def test_inverted_wheels_count_backwards(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same, left: bool,
+    right: bool,
+) -> None:  # fmt: skip
+    plain, inverted = [], []
+    for number in range(100):
+        stamp = seconds(3.0 + 0.05 * number)
+        counts = (40 * number, 30 * number)
+        plain += in_time(ticks(stamp, *counts), arrival)
+        shown = (wrapped(c * (-1 if i else 1), 8, True) for c, i in
+                 zip(counts, (left, right), strict=True))  # fmt: skip
+        inverted += in_time(ticks(stamp, *shown), arrival)
+    pipeline = make_pipeline(encoder_bits=8, left_inverted=left, right_inverted=right, **AT_ORIGIN)
+    outputs = feed(pipeline, inverted)
+    same_estimates(outputs, feed(make_pipeline(**AT_ORIGIN), plain))
+    assert means(outputs)[-1, 0] != 0.0
+    assert means(outputs)[-1, 2] < 0.0
+
+
+def test_joint_states_give_what_ticks_give(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    ran = {
+        source: feed(
+            make_pipeline(encoder_source=source, adaptation="r"),
+            simulated(11, 30.0, source).arrivals,
+        )
+        for source in ("ticks", "joint_states")
+    }
+    assert len(ran["ticks"]) > 70
+    assert [o.stamp_ns for o in ran["ticks"]] == [o.stamp_ns for o in ran["joint_states"]]
+    np.testing.assert_allclose(means(ran["ticks"]), means(ran["joint_states"]), atol=1e-9)
+
+
+@pytest.mark.parametrize("gear_ratio", [1.0, 30.0])
+def test_a_joint_is_the_wheel_behind_the_gear(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, gear_ratio: float
+) -> None:
+    counts = [(int(60 * i * gear_ratio), int(45 * i * gear_ratio)) for i in range(40)]
+    per_turn = 500.0 * gear_ratio
+    by_ticks, by_joints = [], []
+    for number, (left, right) in enumerate(counts):
+        stamp = seconds(3.0 + 0.1 * number)
+        by_ticks += in_time(ticks(stamp, left, right), arrival)
+        radians = (2.0 * math.pi * left / per_turn, 2.0 * math.pi * right / per_turn)
+        by_joints += [
+            arrival(stamp, WheelCount(stamp, w, r)) for w, r in zip(Wheel, radians, strict=True)
+        ]
+    changes = AT_ORIGIN | {"gear_ratio": gear_ratio}
+    first = means(feed(make_pipeline(**changes), by_ticks))
+    second = means(feed(make_pipeline(encoder_source="joint_states", **changes), by_joints))
+    np.testing.assert_allclose(first, second, atol=1e-12)
+    assert first[-1, 0] > 0.5
+
+
+def test_the_latest_measurement_of_each_sensor_in_a_period_counts(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same
+) -> None:
+    first, both = [], []
+    for number in range(12):
+        begin = (10 + number) * PERIOD_NS
+        late = [
+            CompassYaw(begin + 200_000_000, 0.01 * number),
+            PoseFix(begin + 300_000_000, np.array([0.1, 0.02 * number, 0.0]), np.eye(3)),
+        ]
+        early = [
+            CompassYaw(begin + 100_000_000, 2.0),
+            PoseFix(begin + 250_000_000, np.array([9.0, 9.0, 0.0]), np.eye(3)),
+        ]
+        counts = ticks(begin + 350_000_000, 50 * number, 40 * number)
+        end = begin + 350_000_000
+        first += [arrival(end, event) for event in [*late, *counts]]
+        order = [*early, *late] if number % 2 else [*late, *early]  # whatever comes in first
+        both += [arrival(end, event) for event in [*order, *counts]]
+    outputs = feed(make_pipeline(adaptation="r"), both)
+    same_estimates(outputs, feed(make_pipeline(adaptation="r"), first))
+    assert sum(o.estimate is not None for o in outputs) >= 10
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.4, -1.2])
+def test_measurements_inside_a_period_are_carried_to_its_end_by_the_wheels(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, rate: float
+) -> None:
+    """A robot on an arc whose sensors are right: the filter has nothing to correct."""
+    speed, start = 0.5, 10 * PERIOD_NS
+    arrivals = []
+    for step in range(1200):
+        stamp = start + step * 12_500_000
+        time = (stamp - start) * 1e-9
+        ways = (speed - 0.3 * rate) * time, (speed + 0.3 * rate) * time
+        events: list[Any] = []
+        if step % 30 == 11:
+            events.append(PoseFix(stamp, arc_pose(speed, rate, time), np.eye(3)))
+        if step % 30 == 17:
+            events.append(CompassYaw(stamp, arc_pose(speed, rate, time)[2]))
+        events += [WheelCount(stamp, w, way / 0.025) for w, way in zip(Wheel, ways, strict=True)]
+        arrivals += in_time(events, arrival)
+    pipeline = make_pipeline(
+        encoder_source="joint_states", lrf_use_yaw=True, **AT_ORIGIN, motion_model="exact_arc"
+    )
+    outputs = feed(pipeline, arrivals)[1:]
+    assert len(outputs) > 35
+    for output in outputs:
+        assert output.estimate is not None
+        result = output.estimate.result
+        assert result is not None
+        np.testing.assert_array_equal(result.available, True)
+        np.testing.assert_allclose(result.innovation, 0.0, atol=1e-9)
+        truth = arc_pose(speed, rate, (output.stamp_ns - start) * 1e-9)
+        np.testing.assert_allclose(output.estimate.state.mean, truth, atol=1e-9)
+        np.testing.assert_allclose(output.estimate.twist, [speed, rate], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("missing", "rows"), [(CompassYaw, [Row.COMPASS_YAW]), (PoseFix, [Row.X, Row.Y])]
+)
+def test_a_missing_sensor_drops_its_rows_only(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, missing: Any, rows: list[Row]
+) -> None:
+    arrivals = [a for a in simulated(11, 30.0).arrivals if not isinstance(a.event, missing)]
+    outputs = feed(make_pipeline(initial_pose=[0.0, 0.0, 0.0], adaptation="q"), arrivals)
+    assert len(outputs) > 70
+    for output in outputs[1:-1]:
+        assert output.estimate is not None
+        assert np.all(np.isfinite(output.estimate.state.mean))
+        assert np.all(np.linalg.eigvalsh(output.estimate.state.covariance) > 0.0)
+        result = output.estimate.result
+        assert result is not None
+        assert not any(result.available[row] for row in [*rows, Row.LRF_YAW])
+        assert int(result.degrees_of_freedom) == 3 - len(rows)
+        assert sum(result.available) == 3 - len(rows)
+
+
+def test_without_any_measurement_the_robot_is_where_the_wheels_say(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    run = simulated(2, 40.0, slip_std=(0.0, 0.0), wheel_speed_error=0.05)
+    arrivals = [a for a in run.arrivals if isinstance(a.event, WheelCount)]
+    outputs = feed(make_pipeline(initial_pose=[0.0, 0.0, 0.0]), arrivals)
+    spreads = []
+    for output in outputs:
+        assert output.estimate is not None
+        # A count of 0.3 mm on a base of 0.6 m is 0.5 mrad; over some metres that is some mm.
+        np.testing.assert_allclose(
+            output.estimate.state.mean[:2], run.truth[output.stamp_ns][:2], atol=0.02
+        )
+        spreads.append(output.estimate.state.covariance[2, 2])
+    assert np.all(np.diff(spreads) > 0.0)
+
+
+def test_compass_offset_is_added(make_pipeline: MakePipeline) -> None:
+    pipeline = make_pipeline(compass_offset=0.25)
+    boundary = 10 * PERIOD_NS
+    for event in ticks(boundary - PERIOD_NS, 0, 0):
+        pipeline.add(event, event.stamp_ns)
+    pipeline.add(PoseFix(boundary, np.zeros(3), np.eye(3)), boundary)
+    pipeline.add(CompassYaw(boundary, 3.1), boundary)
+    outputs = [o for e in ticks(boundary, 0, 0) for o in pipeline.add(e, boundary)]
+    assert outputs[0].estimate is not None
+    assert outputs[0].estimate.state.mean[2] == pytest.approx(3.35 - 2.0 * math.pi)
+
+
+@pytest.mark.parametrize("period", [0.1, 0.375, 1.5])
+def test_process_noise_grows_with_the_period(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, period: float
+) -> None:
+    """After the same time without measurements the heading is equally uncertain."""
+    events = [e for i in range(100) for e in ticks(seconds(3.0 + 0.15 * i), 0, 0)]
+    pipeline = make_pipeline(period=period, **AT_ORIGIN)
+    outputs = feed(pipeline, in_time(events, arrival))
+    for output in outputs:
+        assert output.estimate is not None
+        count = output.stamp_ns // round(period * 1e9) - (seconds(3.0) - 1) // round(period * 1e9)
+        expected = 0.1**2 + math.radians(3.0) ** 2 * count * period / 0.375
+        assert output.estimate.state.covariance[2, 2] == pytest.approx(expected)
+        variance = np.array([0.05, math.radians(3.0)]) ** 2 * (period / 0.375) / period**2
+        np.testing.assert_allclose(output.estimate.twist_variance, variance)
