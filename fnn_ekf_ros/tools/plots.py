@@ -7,12 +7,16 @@ from typing import Any
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.tools.scoring import Track, interpolate
 
+RMS_WINDOW_S = 20.0
+"""Errors are drawn as their root mean square over so much time before [s]."""
+
 
 def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> None:
-    """Draw the tracks, and position and heading errors over time, as a PNG.
+    """Draw the tracks, and the running RMS of position and heading errors, as a PNG.
 
     Args:
         path: the picture's file.
@@ -36,14 +40,16 @@ def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> Non
 
     span = np.concatenate([truth.pose[:, :2], *(e.pose[:, :2] for e in _near(truth, estimates))])
     begin_ns = truth.time_ns[0]
-    tracks.plot(truth.pose[:, 0], truth.pose[:, 1], color="black", lw=2.0, label="ground truth")
+    tracks.plot(truth.pose[:, 0], truth.pose[:, 1], color="black", lw=2.5, label="ground truth")
     for index, (name, estimate) in enumerate(estimates.items()):
-        style: dict[str, Any] = {"color": f"C{index}", "lw": 1.0, "label": name}
+        style: dict[str, Any] = {"color": f"C{index}", "lw": 1.2, "label": name}
         tracks.plot(estimate.pose[:, 0], estimate.pose[:, 1], **style)
         error = estimate.pose - interpolate(truth, estimate.time_ns)
         seconds = (estimate.time_ns - begin_ns) * 1e-9
-        position.plot(seconds, np.hypot(error[:, 0], error[:, 1]), **style)
-        heading.plot(seconds, np.degrees(np.abs(wrap_angle(error[:, 2]))), **style)
+        distance = np.hypot(error[:, 0], error[:, 1])
+        position.plot(seconds, _running_rms(distance, seconds), **style)
+        turn = np.degrees(wrap_angle(error[:, 2]))
+        heading.plot(seconds, _running_rms(turn, seconds), **style)
     margin = 0.08 * np.max(np.ptp(span, axis=0))
     low, high = np.min(span, axis=0) - margin, np.max(span, axis=0) + margin
     tracks.set(
@@ -51,14 +57,27 @@ def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> Non
         aspect="equal", title="Tracks",
     )  # fmt: skip
     tracks.legend(loc="best", fontsize="small")
-    position.set(ylabel="position error [m]", yscale="log", title="Errors (logarithmic)")
-    heading.set(xlabel="time [s]", ylabel="heading error [deg]", yscale="log")
+    title = f"RMS error of the last {RMS_WINDOW_S:g} s"
+    position.set(ylabel="position [m]", yscale="log", title=title)
+    heading.set(xlabel="time [s]", ylabel="heading [deg]", yscale="log")
     for axes in (tracks, position, heading):
-        axes.grid(visible=True, alpha=0.3)
+        axes.grid(visible=True, which="both", alpha=0.25)
     try:
         figure.savefig(path, dpi=110, metadata={"Software": None})
     except OSError as error:
         raise FnnEkfError(f"'{path}' cannot be written: {error.strerror}") from None
+
+
+def _running_rms(error: FloatArray, seconds: FloatArray) -> FloatArray:
+    """Return the root mean square of the errors in the window before each; gaps are left out."""
+    known = np.isfinite(error)
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, error, 0.0) ** 2)])
+    counts = np.concatenate([[0], np.cumsum(known)])
+    first = np.searchsorted(seconds, seconds - RMS_WINDOW_S)
+    after = np.arange(1, len(error) + 1)
+    number = counts[after] - counts[first]
+    mean = (sums[after] - sums[first]) / np.maximum(number, 1)
+    return np.where(number > 0, np.sqrt(mean), np.nan)
 
 
 def _near(truth: Track, estimates: Mapping[str, Track]) -> list[Track]:

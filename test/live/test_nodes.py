@@ -100,7 +100,8 @@ def test_fake_robot_and_localizer_without_launch(
     assert set(np.diff(stamps)) == {PERIOD_NS}
     assert all(stamp % PERIOD_NS == 0 for stamp in stamps)
     poses = truth_at(truth)
-    errors = [messages.planar_pose(m) - poses[s] for m, s in zip(odom, stamps) if s in poses]
+    known = [(m, poses[s]) for m, s in zip(odom, stamps, strict=True) if s in poses]
+    errors = [messages.planar_pose(message) - pose for message, pose in known]
     assert len(errors) > 40
     assert max(np.hypot(error[0], error[1]) for error in errors) < 0.5
     for message in odom:
