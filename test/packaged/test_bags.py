@@ -1,0 +1,70 @@
+"""The recordings that are part of the project can be made again by the commands beside them."""
+
+import dataclasses
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.bag_files import BagReader
+from fnn_ekf_ros.cli import run_command
+
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+NAMES = ("sim1", "sim2", "round")
+TOLERANCE = 1e-9
+
+
+def make_again(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Run the command that a bag's README gives."""
+    lines = (BAGS / name / "README.md").read_text().splitlines()
+    (line,) = [line for line in lines if line.startswith("    python3 -m fnn_ekf_ros ")]
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    _, _, _, command, *arguments = shlex.split(line)
+    assert run_command(command, arguments) == 0
+    return folder / name
+
+
+def assert_same(one: Any, other: Any, where: str) -> None:
+    """Check that two messages are equal, numbers to `TOLERANCE`."""
+    assert type(one).__name__ == type(other).__name__, where
+    if dataclasses.is_dataclass(one):
+        for field in dataclasses.fields(one):
+            assert_same(
+                getattr(one, field.name), getattr(other, field.name), f"{where}.{field.name}"
+            )
+    elif isinstance(one, float | np.ndarray):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=TOLERANCE, err_msg=where)
+    else:
+        assert one == other, where
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bag_is_small(name: str) -> None:
+    assert sum(file.stat().st_size for file in (BAGS / name).iterdir()) < 10**6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bag_has_the_content_its_command_makes(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make_again(name, tmp_path / "again", monkeypatch)
+    assert Path(f"{made}.yaml").read_text() == (BAGS / f"{name}.yaml").read_text()
+    with BagReader(BAGS / name) as kept, BagReader(made) as again:
+        assert kept.topics == again.topics
+        for one, other in zip(kept.records(), again.records(), strict=True):
+            where = f"{one.topic} at {one.time_ns}"
+            assert (one.topic, one.time_ns) == (other.topic, other.time_ns), where
+            if one.data != other.data:
+                assert_same(kept.message(one), again.message(other), where)
+
+
+def test_the_same_command_makes_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = make_again("sim1", tmp_path / "first", monkeypatch)
+    second = make_again("sim1", tmp_path / "second", monkeypatch)
+    for file in ("sim1.mcap", "metadata.yaml"):
+        assert (first / file).read_bytes() == (second / file).read_bytes(), file

@@ -1,0 +1,450 @@
+"""What messages mean, what is refused in them, and what is written."""
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.messages import NOISE_FIELDS, Message
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.events import (
+    CompassYaw,
+    Estimate,
+    Level,
+    PoseFix,
+    PoseReset,
+    Rejected,
+    Sensor,
+    Status,
+    Wheel,
+    WheelCount,
+)
+
+STAMP_NS = 1_700_000_000_987_654_321
+MakeParameters = Callable[..., LocalizerParameters]
+
+
+def header(frame: str = "map") -> Any:
+    stamp = SimpleNamespace(sec=STAMP_NS // 10**9, nanosec=STAMP_NS % 10**9)
+    return SimpleNamespace(stamp=stamp, frame_id=frame)
+
+
+def quaternion(x: float, y: float, z: float, w: float) -> Any:
+    return SimpleNamespace(x=x, y=y, z=z, w=w)
+
+
+def turned(yaw: float) -> Any:
+    return quaternion(0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
+
+
+def pose_message(
+    x: float = 1.0, y: float = 2.0, orientation: Any = None, frame: str = "map",
+    covariance: Any = None,
+) -> Any:  # fmt: skip
+    pose = SimpleNamespace(
+        position=SimpleNamespace(x=x, y=y, z=0.0),
+        orientation=turned(0.5) if orientation is None else orientation,
+    )
+    full = np.zeros(36) if covariance is None else covariance
+    return SimpleNamespace(
+        header=header(frame), pose=SimpleNamespace(pose=pose, covariance=full)
+    )
+
+
+def imu(orientation: Any, first: float = 0.0, frame: str = "imu_link") -> Any:
+    covariance = np.zeros(9)
+    covariance[0] = first
+    return SimpleNamespace(
+        header=header(frame), orientation=orientation, orientation_covariance=covariance
+    )
+
+
+def joints(names: list[str], positions: list[float]) -> Any:
+    return SimpleNamespace(header=header(""), name=names, position=np.array(positions))
+
+
+def refused(found: Any, sensor: Sensor) -> str:
+    """Return why an input was refused."""
+    assert isinstance(found, Rejected)
+    assert found.sensor is sensor
+    assert "\n" not in found.reason
+    return found.reason
+
+
+BAD_QUATERNIONS = [
+    (0.0, 0.0, 0.0, 0.0),
+    (math.nan, 0.0, 0.0, 1.0),
+    (0.0, 0.0, math.inf, 1.0),
+    (1.0, 1.0, 1.0, 1.0),
+    (0.0, 0.0, 0.0, 0.5),
+    (0.0, 0.0, 0.0, 1.2),
+    (1e300, 1e300, 0.0, 0.0),
+]
+
+
+@pytest.mark.parametrize("topic", ["left_ticks", "right_ticks"])
+@pytest.mark.parametrize("data", [0, -(2**31), 2**31 - 1, np.int32(7)])
+def test_ticks_are_stamped_on_arrival(
+    make_parameters: MakeParameters, topic: str, data: int
+) -> None:
+    found = messages.read_input(topic, SimpleNamespace(data=data), 123, make_parameters())
+    wheel = Wheel.LEFT if topic == "left_ticks" else Wheel.RIGHT
+    assert found == [WheelCount(123, wheel, int(data))]
+
+
+def test_joints_are_found_by_name_and_carry_their_stamp(make_parameters: MakeParameters) -> None:
+    parameters = make_parameters(encoder_source="joint_states", left_joint="l", right_joint="r")
+
+    def read(names: list[str], positions: list[float]) -> Any:
+        return messages.read_input("joint_states", joints(names, positions), 1, parameters)
+
+    left, right = WheelCount(STAMP_NS, Wheel.LEFT, 1.5), WheelCount(STAMP_NS, Wheel.RIGHT, -2.5)
+    assert read(["l", "r"], [1.5, -2.5]) == [left, right]
+    assert read(["arm", "r", "l"], [9.0, -2.5, 1.5]) == [left, right]
+    assert read(["r", "arm"], [-2.5, 9.0]) == [right]
+    assert read(["arm"], [9.0]) == []
+    assert read([], []) == []
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "words"),
+    [
+        (["left_wheel_joint"], [], "no position for 'left_wheel_joint'"),
+        (["right_wheel_joint", "left_wheel_joint"], [1.0], "no position for 'left_wheel_joint'"),
+        (["left_wheel_joint"], [math.nan], "'left_wheel_joint' is at nan rad"),
+        (["right_wheel_joint"], [-math.inf], "'right_wheel_joint' is at -inf rad"),
+        (["right_wheel_joint"], [1e9], "'right_wheel_joint' is at 1e+09 rad"),
+    ],
+)
+def test_joints_without_a_usable_position_are_refused(
+    make_parameters: MakeParameters, names: list[str], positions: list[float], words: str
+) -> None:
+    parameters = make_parameters(encoder_source="joint_states")
+    found = messages.read_input("joint_states", joints(names, positions), 1, parameters)
+    assert words in refused(found, Sensor.ENCODERS)
+
+
+@settings(derandomize=True, deadline=None, max_examples=100)
+@given(yaw=st.floats(-3.14, 3.14), scale=st.floats(0.91, 1.09), flip=st.booleans())
+def test_yaw_of_a_quaternion_of_about_unit_length(yaw: float, scale: float, flip: bool) -> None:
+    q = turned(yaw)
+    factor = -scale if flip else scale
+    found = messages.yaw_of(quaternion(0.0, 0.0, factor * q.z, factor * q.w))
+    assert found == pytest.approx(yaw, abs=1e-9)
+
+
+@settings(derandomize=True, deadline=None, max_examples=100)
+@given(
+    yaw=st.floats(-3.1, 3.1), pitch=st.floats(-1.4, 1.4), roll=st.floats(-3.1, 3.1)
+)
+def test_yaw_of_a_tilted_robot(yaw: float, pitch: float, roll: float) -> None:
+    """Yaw, pitch, roll about z, y, x in turn (REP-103)."""
+    (cy, sy), (cp, sp), (cr, sr) = (
+        (math.cos(0.5 * a), math.sin(0.5 * a)) for a in (yaw, pitch, roll)
+    )
+    q = quaternion(
+        sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy,
+    )  # fmt: skip
+    assert messages.yaw_of(q) == pytest.approx(yaw, abs=1e-8)
+
+
+@pytest.mark.parametrize("q", BAD_QUATERNIONS)
+def test_what_is_no_rotation_has_no_yaw(make_parameters: MakeParameters, q: Any) -> None:
+    assert messages.yaw_of(quaternion(*q)) is None
+    found = messages.read_input("compass", imu(quaternion(*q)), 1, make_parameters())
+    assert "no unit quaternion" in refused(found, Sensor.COMPASS)
+
+
+@pytest.mark.parametrize("frame", ["", "imu_link", "somewhere"])
+def test_the_compass_frame_is_not_checked(make_parameters: MakeParameters, frame: str) -> None:
+    parameters = make_parameters(compass_offset=1.0)  # added later, not here
+    (found,) = messages.read_input("compass", imu(turned(-2.5), frame=frame), 1, parameters)
+    assert isinstance(found, CompassYaw)
+    assert found.stamp_ns == STAMP_NS
+    assert found.yaw == pytest.approx(-2.5)
+
+
+def test_an_imu_without_an_orientation_is_no_compass(make_parameters: MakeParameters) -> None:
+    nothing = quaternion(0.0, 0.0, 0.0, 0.0)
+    assert messages.read_input("compass", imu(nothing, -1.0), 1, make_parameters()) == []
+    assert messages.read_input("compass", imu(turned(1.0), -1.0), 1, make_parameters()) == []
+
+
+@pytest.mark.parametrize("topic", ["lrf_pose", "initialpose"])
+@pytest.mark.parametrize("frame", ["", "odom", "/map", "Map", "map "])
+def test_poses_in_foreign_frames_are_quarantined(
+    make_parameters: MakeParameters, topic: str, frame: str
+) -> None:
+    found = messages.read_input(topic, pose_message(frame=frame), 1, make_parameters())
+    assert refused(found, Sensor.LRF_POSE) == f"{topic} in frame '{frame}', expected 'map'"
+    taken = messages.read_input(
+        topic, pose_message(frame="here"), 1, make_parameters(frame_id="here")
+    )
+    assert isinstance(taken, list)
+    assert len(taken) == 1
+
+
+@pytest.mark.parametrize("topic", ["lrf_pose", "initialpose"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e8])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_positions_that_are_none_are_quarantined(
+    make_parameters: MakeParameters, topic: str, value: float, axis: str
+) -> None:
+    found = messages.read_input(topic, pose_message(**{axis: value}), 1, make_parameters())
+    assert f"{value:g}" in refused(found, Sensor.LRF_POSE)
+
+
+def test_a_fix(make_parameters: MakeParameters) -> None:
+    covariance = np.arange(36.0)
+    message = pose_message(3.0, -4.0, turned(2.0), covariance=covariance)
+    (found,) = messages.read_input("lrf_pose", message, 1, make_parameters())
+    assert isinstance(found, PoseFix)
+    assert found.stamp_ns == STAMP_NS
+    np.testing.assert_allclose(found.pose, [3.0, -4.0, 2.0])
+    np.testing.assert_array_equal(found.covariance, [[0, 1, 5], [6, 7, 11], [30, 31, 35]])
+
+
+@pytest.mark.parametrize("q", BAD_QUATERNIONS)
+def test_a_fix_needs_a_yaw_only_where_it_is_used(make_parameters: MakeParameters, q: Any) -> None:
+    message = pose_message(orientation=quaternion(*q))
+    (found,) = messages.read_input("lrf_pose", message, 1, make_parameters())
+    assert isinstance(found, PoseFix)
+    np.testing.assert_array_equal(found.pose[:2], [1.0, 2.0])
+    with_yaw = messages.read_input("lrf_pose", message, 1, make_parameters(lrf_use_yaw=True))
+    assert "no unit quaternion" in refused(with_yaw, Sensor.LRF_POSE)
+    reset = messages.read_input("initialpose", message, 1, make_parameters())
+    assert "no unit quaternion" in refused(reset, Sensor.LRF_POSE)
+
+
+def planar(block: Any) -> FloatArray:
+    full = np.zeros((6, 6))
+    full[np.ix_([0, 1, 5], [0, 1, 5])] = block
+    return full.ravel()
+
+
+NO_COVARIANCES = [
+    np.zeros((3, 3)),
+    np.diag([1.0, 0.0, 1.0]),
+    np.diag([1.0, -1.0, 1.0]),
+    np.diag([1.0, math.nan, 1.0]),
+    np.diag([1.0, math.inf, 1.0]),
+    np.diag([1e13, 1.0, 1.0]),
+    np.diag([1e-13, 1.0, 1.0]),
+    np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+]
+
+
+@pytest.mark.parametrize("block", NO_COVARIANCES)
+def test_a_reported_covariance_must_be_one_where_it_is_used(
+    make_parameters: MakeParameters, block: FloatArray
+) -> None:
+    message = pose_message(covariance=planar(block))
+    using = make_parameters(lrf_use_message_covariance=True)
+    reason = refused(messages.read_input("lrf_pose", message, 1, using), Sensor.LRF_POSE)
+    assert "lrf_use_message_covariance is true" in reason
+    assert isinstance(messages.read_input("lrf_pose", message, 1, make_parameters()), list)
+
+
+@pytest.mark.parametrize("yaw_variance", [0.0, -1.0, math.nan, math.inf])
+def test_the_yaw_of_a_reported_covariance_matters_only_where_it_is_used(
+    make_parameters: MakeParameters, yaw_variance: float
+) -> None:
+    message = pose_message(covariance=planar(np.diag([0.1, 0.2, yaw_variance])))
+    without = make_parameters(lrf_use_message_covariance=True)
+    assert isinstance(messages.read_input("lrf_pose", message, 1, without), list)
+    with_yaw = make_parameters(lrf_use_message_covariance=True, lrf_use_yaw=True)
+    refused(messages.read_input("lrf_pose", message, 1, with_yaw), Sensor.LRF_POSE)
+
+
+def test_a_set_pose(make_parameters: MakeParameters) -> None:
+    message = pose_message(3.0, -4.0, turned(-1.0), covariance=planar(np.diag([0.25, 0.3, 0.07])))
+    (found,) = messages.read_input("initialpose", message, 1, make_parameters())
+    assert isinstance(found, PoseReset)
+    assert found.stamp_ns == STAMP_NS
+    np.testing.assert_allclose(found.pose, [3.0, -4.0, -1.0])
+    np.testing.assert_array_equal(found.covariance, np.diag([0.25, 0.3, 0.07]))
+
+
+def test_the_localizer_listens_to_one_source_of_counts(make_parameters: MakeParameters) -> None:
+    others = {"compass", "lrf_pose", "initialpose"}
+    by_ticks = messages.input_topics(make_parameters())
+    assert set(by_ticks) == others | {"left_ticks", "right_ticks"}
+    by_joints = messages.input_topics(make_parameters(encoder_source="joint_states"))
+    assert set(by_joints) == others | {"joint_states"}
+    assert set(by_ticks[-2:]) == {"left_ticks", "right_ticks"}  # they close periods: last
+    assert by_joints[-1] == "joint_states"
+    assert set(messages.INPUT_TYPES) == others | {"left_ticks", "right_ticks", "joint_states"}
+
+
+@pytest.fixture(scope="module")
+def estimates(make_pipeline: Any, feed: Any, simulated: Any) -> list[Estimate]:
+    """Estimates of a run of a filter that learns; the first is the start."""
+    outputs = feed(make_pipeline(adaptation="r"), simulated(11, 30.0).arrivals)
+    return [output.estimate for output in outputs if output.estimate is not None]
+
+
+def test_odometry_carries_pose_twist_and_their_covariances(
+    estimates: list[Estimate], as_object: Callable[[Message], Any]
+) -> None:
+    estimate = estimates[-1]
+    made = messages.odometry(estimate, "map", "base_link")
+    assert made.type_name == "nav_msgs/msg/Odometry"
+    message = as_object(made)
+    assert messages.stamp_ns(message) == estimate.stamp_ns
+    assert (message.header.frame_id, message.child_frame_id) == ("map", "base_link")
+    np.testing.assert_allclose(messages.planar_pose(message), estimate.state.mean, atol=1e-12)
+    twist = message.twist.twist
+    assert (twist.linear.x, twist.angular.z) == tuple(estimate.twist)
+    zeros = (twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y)
+    assert zeros == (0.0, 0.0, 0.0, 0.0)
+
+    P = estimate.state.covariance
+    expected = np.zeros((6, 6))
+    for i, a in enumerate((0, 1, 5)):  # x, y, z, roll, pitch, yaw: row by row
+        for j, b in enumerate((0, 1, 5)):
+            expected[a, b] = P[i, j]
+    expected[2, 2] = expected[3, 3] = expected[4, 4] = 1e-9
+    assert np.shape(message.pose.covariance) == (36,)
+    np.testing.assert_array_equal(np.reshape(message.pose.covariance, (6, 6)), expected)
+    assert np.abs(P[0, 2]) > 1e-6  # or the test would not see a wrong layout
+    forward, turn = estimate.twist_variance
+    np.testing.assert_array_equal(
+        np.reshape(message.twist.covariance, (6, 6)),
+        np.diag([forward, 1e-9, 1e-9, 1e-9, 1e-9, turn]),
+    )
+
+
+def test_noise_numbers_are_as_many_as_their_names(
+    estimates: list[Estimate], as_object: Callable[[Message], Any]
+) -> None:
+    assert len(set(NOISE_FIELDS)) == len(NOISE_FIELDS)
+    for estimate in (estimates[0], estimates[-1]):
+        made = messages.noise(estimate)
+        assert made.type_name == "std_msgs/msg/Float64MultiArray"
+        message = as_object(made)
+        (dimension,) = message.layout.dim
+        assert dimension.label.split(",") == list(NOISE_FIELDS)
+        assert len(message.data) == dimension.size == dimension.stride == len(NOISE_FIELDS)
+        assert message.layout.data_offset == 0
+        assert np.all(np.isfinite(message.data))
+
+
+def test_noise_numbers_are_what_their_names_say(
+    estimates: list[Estimate], as_object: Callable[[Message], Any]
+) -> None:
+    estimate = estimates[-1]
+    assert estimate.result is not None
+    assert estimates[0].result is None
+    values = dict(zip(NOISE_FIELDS, as_object(messages.noise(estimate)).data, strict=True))
+    state, result = estimate.state, estimate.result
+    rows = ["x", "y", "compass_yaw", "lrf_yaw"]
+    for index, row in enumerate(rows):
+        assert values[f"measurement_noise_{row}"] == state.measurement_noise[index]
+        assert values[f"innovation_{row}"] == result.innovation[index]
+        assert values[f"innovation_variance_{row}"] == result.innovation_variance[index]
+        assert values[f"mismatch_{row}"] == result.mismatch[index]
+        for rule, name in enumerate(("increase", "maintain", "decrease")):
+            assert values[f"firing_{name}_{row}"] == result.firing_strength[index, rule]
+    assert values["process_noise_forward"] == state.process_noise[0]
+    assert values["process_noise_heading"] == state.process_noise[1]
+    assert values["nis"] == result.nis
+    assert values["degrees_of_freedom"] == 3.0
+    first = dict(zip(NOISE_FIELDS, as_object(messages.noise(estimates[0])).data, strict=True))
+    assert first["measurement_noise_x"] == pytest.approx(0.01)
+    assert first["nis"] == first["innovation_x"] == 0.0
+
+
+def test_diagnostics_names_levels_and_values(as_object: Callable[[Message], Any]) -> None:
+    statuses = (
+        Status("encoders", Level.ERROR, "no message yet", (("received", "0"),)),
+        Status("filter", Level.OK, "running", (("NIS", "3.1"), ("adaptation", "r"))),
+    )
+    made = messages.diagnostics(STAMP_NS, "robot1/localizer", statuses)
+    assert made.type_name == "diagnostic_msgs/msg/DiagnosticArray"
+    message = as_object(made)
+    assert messages.stamp_ns(message) == STAMP_NS
+    assert [s.name for s in message.status] == [
+        "robot1/localizer: encoders", "robot1/localizer: filter",
+    ]  # fmt: skip
+    assert [s.level for s in message.status] == [2, 0]
+    assert message.status[0].message == "no message yet"
+    assert [(v.key, v.value) for v in message.status[1].values] == [
+        ("NIS", "3.1"), ("adaptation", "r"),
+    ]  # fmt: skip
+
+
+def test_health_has_its_five_parts_about_once_a_second(
+    make_pipeline: Any, feed: Any, simulated: Any
+) -> None:
+    outputs = feed(make_pipeline(), simulated(11, 30.0).arrivals)
+    reports = [output for output in outputs if output.health is not None]
+    assert 28 <= len(reports) <= 31
+    for output in reports:
+        names = [status.name for status in output.health]
+        assert names == ["encoders", "compass", "lrf_pose", "filter", "time"]
+    assert {status.level for status in reports[-1].health} == {Level.OK}
+
+
+def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulated: Any) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    silent = [
+        a for a in arrivals
+        if not (isinstance(a.event, CompassYaw) and a.now_ns > arrivals[-1].now_ns - 10**10)
+    ]  # fmt: skip
+    last = [o for o in feed(make_pipeline(), silent) if o.health is not None][-1]
+    levels = {status.name: status.level for status in last.health}
+    assert levels == {
+        "encoders": Level.OK, "compass": Level.WARN, "lrf_pose": Level.OK, "filter": Level.OK,
+        "time": Level.OK,
+    }  # fmt: skip
+    assert "silent for" in next(s.message for s in last.health if s.name == "compass")
+
+
+def test_refused_messages_are_warned_about_once(make_pipeline: Any) -> None:
+    pipeline = make_pipeline()
+    pipeline.reject(Rejected(Sensor.LRF_POSE, "lrf_pose in frame 'odom', expected 'map'"))
+    first = next(s for s in pipeline.report() if s.name == "lrf_pose")
+    assert first.level is Level.WARN
+    assert "in frame 'odom'" in first.message
+    assert ("refused", "1") in first.values
+    second = next(s for s in pipeline.report() if s.name == "lrf_pose")
+    assert "refused:" not in second.message
+    assert ("refused", "1") in second.values
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, -3.1, math.pi])
+def test_yaw_there_and_back(as_object: Callable[[Message], Any], yaw: float) -> None:
+    found = messages.yaw_of(as_object(messages.quaternion(yaw)))
+    assert found == pytest.approx(yaw)
+
+
+def test_no_yaw_is_no_quaternion(as_object: Callable[[Message], Any]) -> None:
+    assert messages.yaw_of(as_object(messages.quaternion(math.nan))) is None
+
+
+@pytest.mark.parametrize("stamp", [0, 1, 999_999_999, 10**9, STAMP_NS])
+def test_stamps_there_and_back(as_object: Callable[[Message], Any], stamp: int) -> None:
+    message = SimpleNamespace(header=as_object(messages.header(stamp, "map")))
+    assert messages.stamp_ns(message) == stamp
+    assert 0 <= message.header.stamp.nanosec < 10**9
+
+
+def test_a_compass_message_can_be_read_again(
+    make_parameters: MakeParameters, as_object: Callable[[Message], Any]
+) -> None:
+    made = as_object(messages.compass_message(STAMP_NS, "base_link", 1.25, 0.1))
+    assert made.orientation_covariance[8] == pytest.approx(0.01)
+    (found,) = messages.read_input("compass", made, 1, make_parameters())
+    assert isinstance(found, CompassYaw)
+    assert found.yaw == pytest.approx(1.25)
+    unknown = as_object(messages.compass_message(STAMP_NS, "base_link", 1.25, 0.0))
+    np.testing.assert_array_equal(unknown.orientation_covariance, 0.0)
+    assert made.angular_velocity_covariance[0] == made.linear_acceleration_covariance[0] == -1.0
