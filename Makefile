@@ -29,7 +29,7 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-$(VENV)/.installed: requirements.txt requirements-ros.txt setup.py package.xml pyproject.toml
+$(VENV)/.installed: requirements.txt requirements-ros.txt setup.py package.xml
 	sh scripts/make_venv.sh "$(PYTHON)" "$(VENV)"
 	touch $@
 

@@ -5,10 +5,14 @@ set -eu
 python=$1
 venv=$2
 
-"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
-    echo "$python is too old: expected Python 3.11 or later" >&2
+recent=$("$python" -c 'import sys; print(sys.version_info >= (3, 11))') || {
+    echo "cannot run '$python': expected a Python interpreter, as in make PYTHON=python3.12" >&2
     exit 1
 }
+if [ "$recent" != True ]; then
+    echo "'$python' is too old: expected Python 3.11 or later" >&2
+    exit 1
+fi
 if "$python" -c 'import rclpy' 2>/dev/null; then
     echo "using the ROS 2 installation that is sourced (ROS_DISTRO=${ROS_DISTRO:-unknown})"
     "$python" -m venv --clear --system-site-packages "$venv"

@@ -108,6 +108,21 @@ def test_no_estimate_until_position_and_yaw_are_known(
     assert all(status.message.startswith("waiting for") for status in reports)
 
 
+@pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
+def test_no_estimate_without_both_wheels(
+    pipeline: MakePipeline, speaking: list[Wheel]
+) -> None:
+    ran, outputs = pipeline(), []
+    for number in range(1, 9):
+        stamp = START_NS + number * PERIOD_NS
+        for wheel in speaking:
+            outputs += ran.add(WheelCount(stamp, wheel, 0.0), stamp)
+        for event in (fix(stamp), compass(stamp)):
+            outputs += ran.add(event, stamp)
+    assert len(outputs) >= 5
+    assert all(output.estimate is None for output in outputs)
+
+
 def test_what_is_missing_is_named(pipeline: MakePipeline) -> None:
     def message(measurements: list[Event]) -> str:
         ran = pipeline()

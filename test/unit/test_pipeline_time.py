@@ -50,7 +50,7 @@ def delayed(arrivals: Sequence[Any], moved: Event, by_ns: int) -> list[Any]:
     return sorted(late, key=lambda a: a.now_ns)
 
 
-def pick(arrivals: Sequence[Any], kind: type, after_ns: int) -> Any:
+def pick(arrivals: Sequence[Any], kind: type[Event], after_ns: int) -> Any:
     """Return the first event of a kind after a time; a measurement that ends its period."""
     return next(
         a.event
