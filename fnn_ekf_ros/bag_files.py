@@ -1,5 +1,6 @@
 """Reading and writing of rosbag2 recordings; the only module that knows rosbags."""
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -44,12 +45,16 @@ class Topic(NamedTuple):
         type_name: such as `nav_msgs/msg/Odometry`.
         message_count: number of messages.
         qos: profiles its publishers offered.
+        definition: the type's definition as it was recorded; empty if it was not.
+        digest: the type's hash as it was recorded; empty if it was not.
     """
 
     name: str
     type_name: str
     message_count: int
     qos: tuple[Qos, ...] = (_RELIABLE,)
+    definition: str = ""
+    digest: str = ""
 
     @property
     def reliable(self) -> bool:
@@ -78,11 +83,44 @@ class Record(NamedTuple):
     data: bytes
 
 
+def _topic_of(connection: Connection) -> Topic:
+    return Topic(
+        connection.topic,
+        connection.msgtype,
+        int(connection.msgcount),
+        tuple(getattr(connection.ext, "offered_qos_profiles", ())),
+        connection.msgdef.data,
+        connection.digest,
+    )
+
+
+def _check_readable(path: Path) -> None:
+    try:
+        if not path.exists():
+            raise BagError(f"bag '{path}' does not exist")
+        if not path.is_dir() and not path.is_file():
+            raise BagError(f"bag '{path}' is no file: expected a rosbag2 recording")
+        finished = not path.is_dir() or (path / "metadata.yaml").exists()
+    except (OSError, ValueError) as error:
+        raise BagError(f"bag '{str(path)[:80]}' cannot be read: {_reason(error)}") from None
+    if not finished:
+        raise BagError(
+            f"bag '{path}' has no metadata.yaml: expected the folder of a finished rosbag2 "
+            "recording (of an unfinished one, give the .mcap or .db3 file or reindex it)"
+        )
+
+
 class BagReader:
     """A recording that is open for reading; a context manager.
 
     Args:
         path: the bag's folder, or a single `.mcap` or `.db3` file.
+
+    Attributes:
+        topics: topics by name.
+        message_count: number of messages.
+        start_ns: time of the first message [ns].
+        duration_s: time between the first message and the last [s].
 
     Raises:
         BagError: it does not exist, is truncated or is no bag.
@@ -90,48 +128,36 @@ class BagReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if not path.exists():
-            raise BagError(f"bag '{path}' does not exist")
-        if path.is_dir() and not (path / "metadata.yaml").exists():
-            raise BagError(
-                f"bag '{path}' has no metadata.yaml: expected the folder of a finished rosbag2 "
-                "recording (of an unfinished one, give the .mcap or .db3 file or reindex it)"
-            )
+        _check_readable(path)
         try:
             self._reader = Reader(path)
             self._reader.open()
+            self.message_count = int(self._reader.message_count)
+            self.start_ns = int(self._reader.start_time)
+            self.duration_s = float(self._reader.duration) * 1e-9
+            found = [_topic_of(connection) for connection in self._reader.connections]
         except Exception as error:  # rosbags and its storages raise errors of many kinds
+            self.close()
             raise self._broken(error) from None
-        self.topics: Mapping[str, Topic] = {}
-        for connection in self._reader.connections:
-            before = self.topics.get(connection.topic)
-            qos = tuple(getattr(connection.ext, "offered_qos_profiles", ()))
-            if before is not None and before.type_name != connection.msgtype:
+        topics: dict[str, Topic] = {}
+        for topic in found:
+            before = topics.get(topic.name, topic._replace(message_count=0, qos=()))
+            if before.type_name != topic.type_name:
+                self.close()
                 raise BagError(
-                    f"bag '{path}': topic {connection.topic} has two types, "
-                    f"{before.type_name} and {connection.msgtype}"
+                    f"bag '{path}': topic {topic.name} has two types, {before.type_name} and "
+                    f"{topic.type_name}"
                 )
-            self.topics[connection.topic] = Topic(  # type: ignore[index]
-                connection.topic,
-                connection.msgtype,
-                connection.msgcount + (before.message_count if before else 0),
-                qos + (before.qos if before else ()),
+            topics[topic.name] = topic._replace(
+                message_count=topic.message_count + before.message_count,
+                qos=topic.qos + before.qos,
             )
+        self.topics: Mapping[str, Topic] = topics
 
-    @property
-    def message_count(self) -> int:
-        """Number of messages."""
-        return int(self._reader.message_count)
-
-    @property
-    def start_ns(self) -> int:
-        """Time of the first message [ns]."""
-        return int(self._reader.start_time)
-
-    @property
-    def duration_s(self) -> float:
-        """Time between the first message and the last [s]."""
-        return float(self._reader.duration) * 1e-9
+    def close(self) -> None:
+        """Close the recording."""
+        with suppress(Exception):
+            self._reader.close()
 
     def records(self, topics: set[str] | None = None) -> Iterator[Record]:
         """Yield the messages in the order of recording, of all topics or of some.
@@ -172,8 +198,7 @@ class BagReader:
 
     def __exit__(self, *_: object) -> None:
         """Close the recording."""
-        with suppress(Exception):
-            self._reader.close()
+        self.close()
 
     def _broken(self, error: Exception) -> BagError:
         return BagError(
@@ -188,37 +213,64 @@ class BagWriter:
     Args:
         path: the bag's folder; must not exist.
         storage: one of `STORAGES`.
-        notes: texts to keep in the bag's metadata, such as the command that made it.
+        notes: texts to keep in the bag's metadata, such as the parameters that made it.
+        beside: text of a file to go with the bag, `NAME.yaml` beside `NAME`; empty for none.
 
     Raises:
         BagError: the path exists or cannot be written to.
     """
 
-    def __init__(self, path: Path, storage: str = "mcap", notes: Mapping[str, str] = {}) -> None:
+    def __init__(
+        self,
+        path: Path,
+        storage: str = "mcap",
+        notes: Mapping[str, str] = {},
+        beside: str = "",
+    ) -> None:
         self.path = path
         refuse_existing(path)
+        self._results = [path]
+        if beside:
+            refuse_existing(file_beside(path))
+            self._results.append(file_beside(path))
         try:
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         except OSError as error:
-            raise BagError(f"bag '{path}' cannot be written: {error.strerror}") from None
-        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-        self._writer = Writer(self._folder / path.name, version=9, storage_plugin=plugin)
-        if storage == "mcap":
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        for key, text in notes.items():
-            self._writer.set_custom_data(key, text)
-        self._writer.open()
+            raise self._broken(error) from None
         self._connections: dict[str, Connection] = {}
+        try:
+            if beside:
+                (self._folder / file_beside(path).name).write_text(beside, encoding="utf-8")
+            plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+            self._writer = Writer(self._folder / path.name, version=9, storage_plugin=plugin)
+            if storage == "mcap":
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            for key, text in notes.items():
+                self._writer.set_custom_data(key, text)
+            self._writer.open()
+        except Exception as error:  # the storages raise errors of many kinds
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise self._broken(error) from None
 
     def add_topic(self, topic: Topic) -> None:
-        """Announce a topic; `write` does so by itself for topics of ROS 2 Jazzy's types."""
-        if topic.name not in self._connections:
-            self._connections[topic.name] = self._writer.add_connection(
-                topic.name,
-                topic.type_name,
-                typestore=_TYPESTORE,
-                offered_qos_profiles=topic.qos or (_RELIABLE,),
-            )
+        """Announce a topic; `write` does so by itself for topics of ROS 2 Jazzy's types.
+
+        Raises:
+            BagError: neither ROS 2 Jazzy nor the topic itself has a definition of its type.
+        """
+        if topic.name in self._connections:
+            return
+        known = topic.type_name in _TYPESTORE.types
+        if not known and not (topic.definition and topic.digest):
+            raise BagError(f"topic {topic.name}: the definition of {topic.type_name} is not known")
+        self._connections[topic.name] = self._writer.add_connection(
+            topic.name,
+            topic.type_name,
+            typestore=_TYPESTORE,
+            msgdef=None if known else topic.definition,
+            rihs01=None if known else topic.digest,
+            offered_qos_profiles=topic.qos or (_RELIABLE,),
+        )
 
     def write(self, topic: str, message: Message, time_ns: int) -> None:
         """Write a message; `topic` is absolute, `time_ns` the time of recording [ns]."""
@@ -226,10 +278,23 @@ class BagWriter:
         self.write_raw(Record(topic, message.type_name, time_ns, bytes(data)))
 
     def write_raw(self, record: Record) -> None:
-        """Write a record as it is."""
+        """Write a record as it is.
+
+        Raises:
+            BagError: the disk is full, or the topic has another type.
+        """
         if record.topic not in self._connections:
             self.add_topic(Topic(record.topic, record.type_name, 0))
-        self._writer.write(self._connections[record.topic], record.time_ns, record.data)
+        connection = self._connections[record.topic]
+        if connection.msgtype != record.type_name:
+            raise BagError(
+                f"bag '{self.path}': topic {record.topic} is {connection.msgtype}, a "
+                f"{record.type_name} cannot be written to it"
+            )
+        try:
+            self._writer.write(connection, record.time_ns, record.data)
+        except Exception as error:  # see above
+            raise self._broken(error) from None
 
     def __enter__(self) -> Self:
         """Return the writer."""
@@ -242,26 +307,51 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         """Put the bag in its place, or leave nothing if something went wrong."""
+        placed: list[Path] = []
         try:
-            if error is None:
-                self._writer.close()
-                refuse_existing(self.path)
-                (self._folder / self.path.name).rename(self.path)
-            else:
+            if error is not None:
                 with suppress(Exception):
                     self._writer.abort()
-        except OSError as failure:
-            raise BagError(f"bag '{self.path}' cannot be written: {failure}") from None
+                return
+            self._writer.close()
+            for result in self._results:
+                refuse_existing(result)
+                (self._folder / result.name).rename(result)
+                placed.append(result)
+        except Exception as failure:  # see above
+            for result in placed:
+                shutil.rmtree(result, ignore_errors=True)
+            if isinstance(failure, BagError):
+                raise
+            raise self._broken(failure) from None
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
 
+    def _broken(self, error: Exception) -> BagError:
+        return BagError(f"bag '{self.path}' cannot be written ({_reason(error)})")
+
+
+def file_beside(bag: Path) -> Path:
+    """Return where the parameter file that goes with a bag lies: `NAME.yaml` beside `NAME`."""
+    return bag.with_name(f"{bag.name}.yaml")
+
 
 def refuse_existing(path: Path) -> None:
-    """Raise a `BagError` if something has the path's name, or its folder does not exist."""
-    if path.exists():
-        raise BagError(f"'{path}' exists already: choose another name, or remove it first")
-    if not path.absolute().parent.is_dir():
-        raise BagError(f"'{path}' cannot be written: folder '{path.parent}' does not exist")
+    """Check that a result can get its name.
+
+    Raises:
+        BagError: something has it, its folder does not exist or is itself a bag, or it is none.
+    """
+    shown = f"'{str(path)[:80]}'"
+    if path.name in ("", "..") or not path.name.isprintable() or len(os.fsencode(path.name)) > 200:
+        raise BagError(f"{shown} cannot be the name of a result: choose another")
+    if os.path.lexists(path):
+        raise BagError(f"{shown} exists already: choose another name, or remove it first")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise BagError(f"{shown} cannot be written: folder '{path.parent}' does not exist")
+    if (folder / "metadata.yaml").exists():
+        raise BagError(f"{shown} would lie inside the bag '{path.parent}': choose another place")
 
 
 def _built(message: Message) -> Any:

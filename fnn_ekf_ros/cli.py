@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.stopping import exit_by_signal, stop_by_signal
 
 FAILURE = 1
 INTERRUPTED = 130
@@ -21,20 +22,27 @@ class Command(NamedTuple):
         module: has `add_arguments(parser)` and `run(arguments)`.
         summary: what it does.
         is_node: whether `run` takes the list of ROS arguments instead.
+        stops_by_signal: whether SIGINT and SIGTERM are a proper end, with exit code 0.
     """
 
     module: str
     summary: str
     is_node: bool = False
+    stops_by_signal: bool = False
 
 
 COMMANDS = {
-    "localizer": Command("fnn_ekf_ros.ros.localizer", "the localizer node", is_node=True),
+    "localizer": Command(
+        "fnn_ekf_ros.ros.localizer", "the localizer node", is_node=True, stops_by_signal=True
+    ),
     "fake_robot": Command(
-        "fnn_ekf_ros.ros.fake_robot", "a simulated robot as a node", is_node=True
+        "fnn_ekf_ros.ros.fake_robot",
+        "a simulated robot as a node",
+        is_node=True,
+        stops_by_signal=True,
     ),
     "simulate": Command("fnn_ekf_ros.tools.simulate", "the simulated robot straight into a bag"),
-    "play": Command("fnn_ekf_ros.ros.play", "publish a recorded bag"),
+    "play": Command("fnn_ekf_ros.ros.play", "publish a recorded bag", stops_by_signal=True),
     "replay": Command("fnn_ekf_ros.tools.replay", "the localizer over a bag: bag in, bag out"),
     "import-csv": Command("fnn_ekf_ros.tools.import_csv", "a CSV recording into a bag"),
     "evaluate": Command("fnn_ekf_ros.tools.evaluate", "errors against a ground truth"),
@@ -65,7 +73,11 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     command = COMMANDS[name]
     try:
-        parser = argparse.ArgumentParser(prog=name, description=f"{command.summary}.")
+        stop_by_signal() if command.stops_by_signal else exit_by_signal()
+        summary = f"{command.summary[0].upper()}{command.summary[1:]}."
+        parser = argparse.ArgumentParser(prog=name, description=summary)
+        if command.is_node:
+            parser.usage = "%(prog)s [-h] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
         module = importlib.import_module(command.module)
         module.add_arguments(parser)
         own, ros_arguments = _split(given) if command.is_node else (given, [])

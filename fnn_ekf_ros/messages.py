@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.core.covariance import usable_covariance
+from fnn_ekf_ros.core.limits import LARGEST_POSITION, LARGEST_STD, SMALLEST_STD
+from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Estimate,
@@ -58,12 +60,12 @@ INPUT_TYPES = {
 }
 """Topics the localizer can listen to."""
 
-LARGEST_POSITION = 1e8
-"""Larger coordinates are a wrong unit or a broken message [m]."""
-VARIANCE_RANGE = (1e-10, 1e12)
-"""Variances outside of this are no variances [m^2 or rad^2]."""
 UNUSED_VARIANCE = 1e-9
 """Variance published for what a planar robot does not do: z, roll, pitch, sideways."""
+_A_COVARIANCE = (
+    f"a symmetric, positive definite covariance with {SMALLEST_STD**2:g} to {LARGEST_STD**2:g} on "
+    "its diagonal"
+)
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 
 NOISE_FIELDS = (
@@ -111,6 +113,13 @@ def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:
     return (COMPASS, LRF_POSE, INITIAL_POSE, *wheels)
 
 
+def absolute_name(topic: str) -> str:
+    """Return a topic's name as it is recorded, without a namespace."""
+    if topic.startswith("~/"):
+        return f"/{NODE_NAME}/{topic[2:]}"
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
 def read_input(
     topic: str, message: Any, receive_ns: int, parameters: LocalizerParameters
 ) -> list[Event] | Rejected:
@@ -129,7 +138,7 @@ def read_input(
         return _wheel_positions(message, parameters)
     if topic == COMPASS:
         return _compass_yaw(message)
-    return _pose(topic, message, parameters)
+    return _pose(topic, message, receive_ns, parameters)
 
 
 def odometry(estimate: Estimate, frame_id: str, base_frame: str) -> Message:
@@ -340,7 +349,7 @@ def planar_pose(message: Any) -> FloatArray:
 
 def planar_block(covariance: Any) -> FloatArray:
     """Return the `(3, 3)` block of x, y, yaw of a message's 36 covariance numbers."""
-    return np.asarray(covariance, dtype=np.float64).reshape(6, 6)[_PLANAR]
+    return np.array(covariance, dtype=np.float64).reshape(6, 6)[_PLANAR]
 
 
 def _vector(x: float, y: float, z: float) -> Message:
@@ -379,7 +388,9 @@ def _compass_yaw(message: Any) -> list[Event] | Rejected:
     return [CompassYaw(stamp_ns(message), yaw)]
 
 
-def _pose(topic: str, message: Any, parameters: LocalizerParameters) -> list[Event] | Rejected:
+def _pose(
+    topic: str, message: Any, receive_ns: int, parameters: LocalizerParameters
+) -> list[Event] | Rejected:
     if message.header.frame_id != parameters.frame_id:
         return Rejected(
             Sensor.LRF_POSE,
@@ -398,27 +409,46 @@ def _pose(topic: str, message: Any, parameters: LocalizerParameters) -> list[Eve
         )
     covariance = planar_block(message.pose.covariance)
     if topic == INITIAL_POSE:
-        return [PoseReset(stamp_ns(message), pose, covariance)]
+        return _pose_reset(message, pose, covariance, receive_ns, parameters)
     if parameters.lrf_use_message_covariance:
-        used = covariance if parameters.lrf_use_yaw else covariance[:2, :2]
-        if not _is_covariance(used):
+        rows = 3 if parameters.lrf_use_yaw else 2
+        used = covariance[:rows, :rows]
+        checked = usable_covariance(used)
+        if checked is not None:
+            covariance[:rows, :rows] = checked
+        else:
             shown = ", ".join(f"{value:g}" for value in np.diag(used))
             return Rejected(
                 Sensor.LRF_POSE,
-                f"lrf_pose has the covariance diagonal [{shown}], expected a positive definite "
-                "covariance (lrf_use_message_covariance is true)",
+                f"lrf_pose has the covariance diagonal [{shown}], expected "
+                f"{_A_COVARIANCE} (lrf_use_message_covariance is true)",
             )
     return [PoseFix(stamp_ns(message), pose, covariance)]
 
 
-def _is_covariance(matrix: FloatArray) -> bool:
-    diagonal = np.diag(matrix)
-    return bool(
-        np.all(np.isfinite(matrix))
-        and np.all(diagonal >= VARIANCE_RANGE[0])
-        and np.all(diagonal <= VARIANCE_RANGE[1])
-        and np.all(np.linalg.eigvalsh(matrix) > 0.0)
-    )
+def _pose_reset(
+    message: Any,
+    pose: FloatArray,
+    covariance: FloatArray,
+    receive_ns: int,
+    parameters: LocalizerParameters,
+) -> list[Event] | Rejected:
+    """Return the event; somebody's word counts now at the latest, and without a stamp now."""
+    unknown = np.diag(covariance) == 0.0
+    if np.any(unknown):
+        covariance[unknown, :] = covariance[:, unknown] = 0.0
+        variances = np.square(parameters.initial_pose_std)
+        covariance[unknown, unknown] = variances[unknown]
+    checked = usable_covariance(covariance)
+    if checked is None:
+        shown = ", ".join(f"{value:g}" for value in np.diag(covariance))
+        return Rejected(
+            Sensor.LRF_POSE,
+            f"{INITIAL_POSE} has the covariance diagonal [{shown}], expected {_A_COVARIANCE}, or 0 "
+            "on its diagonal for initial_pose_std",
+        )
+    given_ns = stamp_ns(message)
+    return [PoseReset(min(given_ns, receive_ns) if given_ns else receive_ns, pose, checked)]
 
 
 def _bad_quaternion(orientation: Any) -> str:

@@ -17,6 +17,7 @@ from fnn_ekf_ros.core.arrays import (
     FloatArray,
     diagonal_matrix,
 )
+from fnn_ekf_ros.core.covariance import limit_uncertainty
 from fnn_ekf_ros.core.kalman import correct, predict_covariance
 from fnn_ekf_ros.core.motion import MotionModel, displacement, move
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window, push
@@ -155,7 +156,9 @@ def step(
     """
     motion = move(model.motion_model, state.mean, period.control)
     period_scale = model.period_s / NOMINAL_PERIOD_S
-    covariance = predict_covariance(state.covariance, motion, state.process_noise * period_scale)
+    covariance = limit_uncertainty(
+        predict_covariance(state.covariance, motion, state.process_noise * period_scale)
+    )
 
     corrected = correct(
         motion.mean,

@@ -1,18 +1,21 @@
 """Reading of membership function files; the packaged ones are named without a path."""
 
-import math
+import reprlib
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.schema import finite_number
+from fnn_ekf_ros.text_files import read_text
+from fnn_ekf_ros.yaml_text import load_yaml
 
 FORMAT_VERSION = 1
 PACKAGED = ("initial", "published")
+SMALLEST, LARGEST = 1e-15, 1e15
+"""Sizes of numbers that leave room for products of them."""
 _POSITIVE = ("position_unit", "yaw_unit", "change_limit")
 
 
@@ -33,26 +36,22 @@ def read_membership(name: str) -> FuzzyNetwork:
         text = (resources.files(__package__) / f"{name}.yaml").read_text(encoding="utf-8")
     else:
         try:
-            text = Path(name).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not a text file"
+            text = read_text(Path(name), "membership_file", MembershipError)
+        except MembershipError as error:
             raise MembershipError(
-                f"membership_file '{name}': {reason}; expected one of "
-                f"{', '.join(PACKAGED)}, or the path of a file"
+                f"{error}; expected one of {', '.join(PACKAGED)}, or the path of a file"
             ) from None
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise MembershipError(f"membership_file '{name}' is not YAML: {reason}") from None
+    content = load_yaml(text, f"membership_file '{name}'", MembershipError)
     return _network(name, content)
 
 
 def _network(name: str, content: Any) -> FuzzyNetwork:
-    if not isinstance(content, dict) or content.get("version") != FORMAT_VERSION:
-        found = content.get("version") if isinstance(content, dict) else None
+    if not isinstance(content, dict) or "version" not in content:
+        raise MembershipError(f"membership_file '{name}' has no version: it is of another kind")
+    version = content["version"]
+    if type(version) is not int or version != FORMAT_VERSION:
         raise MembershipError(
-            f"membership_file '{name}' has version {found}: expected {FORMAT_VERSION}"
+            f"membership_file '{name}' has version {version!r}: expected {FORMAT_VERSION}"
         )
     _check_keys(name, content, {"version", "sets", *_POSITIVE})
     if not isinstance(content["sets"], dict):
@@ -86,8 +85,10 @@ def _check_keys(name: str, content: dict[Any, Any], expected: set[str]) -> None:
 
 
 def _number(name: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    number = finite_number(value)
+    if number is None or (number != 0.0 and not SMALLEST <= abs(number) <= LARGEST):
         raise MembershipError(
-            f"membership_file '{name}': {key} is {value!r}: expected a finite number"
+            f"membership_file '{name}': {key} is {reprlib.repr(value)}: expected a number, 0 or "
+            f"between {SMALLEST:g} and {LARGEST:g} in size"
         )
-    return float(value)
+    return number

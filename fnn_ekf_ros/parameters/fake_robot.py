@@ -1,11 +1,9 @@
 """The parameters of `fake_robot` and `simulate`."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from fnn_ekf_ros.parameters.schema import Parameters, build, parameter
+from fnn_ekf_ros.parameters.schema import Parameters, parameter
 
 NODE_NAME = "fake_robot"
 
@@ -19,16 +17,16 @@ class FakeRobotParameters(Parameters):
 
     # Geometry
     wheel_radius: float = parameter(
-        0.025, "Radius of the wheels, D / 2.", "m", above=0.0, at_most=10.0
+        0.025, "Radius of the wheels, D / 2.", "m", at_least=1e-4, at_most=10.0
     )
     wheel_separation: float = parameter(
-        0.6, "Distance between the wheels' contact points, L.", "m", above=0.0, at_most=100.0
+        0.6, "Distance between the wheels' contact points, L.", "m", at_least=1e-3, at_most=100.0
     )
     gear_ratio: float = parameter(
-        1.0, "Encoder turns per wheel turn, n.", "", above=0.0, at_most=1e6
+        1.0, "Encoder turns per wheel turn, n.", "", at_least=1e-6, at_most=1e6
     )
     encoder_counts_per_revolution: float = parameter(
-        500.0, "Counts per turn of the encoder, C_e.", "counts", above=0.0, at_most=1e9
+        500.0, "Counts per turn of the encoder, C_e.", "counts", at_least=1e-3, at_most=1e9
     )
 
     # Encoders
@@ -50,12 +48,14 @@ class FakeRobotParameters(Parameters):
         "What is driven: a scripted path, or cmd_vel to follow that topic.",
         choices=("square", "round", "figure_eight", "sim1", "sim2", "cmd_vel"),
     )
-    speed: float = parameter(0.3, "Speed along a scripted path.", "m/s", above=0.0, at_most=10.0)
+    speed: float = parameter(
+        0.3, "Speed along a scripted path.", "m/s", at_least=1e-3, at_most=10.0
+    )
     cmd_vel_timeout: float = parameter(
         0.5,
         "The robot stops when cmd_vel has been silent for so long.",
         "s",
-        above=0.0,
+        at_least=1e-3,
         at_most=3600.0,
     )
     wheel_speed_error: float = parameter(
@@ -68,11 +68,13 @@ class FakeRobotParameters(Parameters):
 
     # Noise
     slip_std: tuple[float, float] = parameter(
-        SIMULATION_2_SLIP_STD,
-        "Motion the encoders do not see, per 375 ms: way, turn (path sim1: [0.02, 0.01745]).",
+        (math.nan, math.nan),
+        "Motion the encoders do not see, per 375 ms: way, turn; .nan: [0.02, 0.01745] on path "
+        "sim1, [0.05, 0.05236] on the others.",
         "[m, rad]",
         at_least=0.0,
         at_most=1e3,
+        may_be_nan=True,
     )
     lrf_std: tuple[float, float, float] = parameter(
         (0.1, 0.1, 0.134), "Noise of the laser fixes.", "[m, m, rad]", at_least=0.0, at_most=1e3
@@ -90,19 +92,16 @@ class FakeRobotParameters(Parameters):
     publish_clock: bool = parameter(
         False, "Run on a clock of its own, from 0, and publish it as /clock for use_sim_time."
     )
-    real_time_factor: float = parameter(1.0, "Speed of that clock.", "", above=0.0, at_most=1000.0)
+    real_time_factor: float = parameter(
+        1.0, "Speed of that clock.", "", at_least=1e-3, at_most=1000.0
+    )
 
     # Frames
     frame_id: str = parameter("map", "Frame of the fixes and of ground_truth.")
     base_frame: str = parameter("base_link", "Frame of the robot: the middle of the axle.")
 
-
-def build_fake_robot(values: Mapping[str, Any]) -> FakeRobotParameters:
-    """Return the parameters; path `sim1` brings simulation 1's slip unless slip is given.
-
-    Raises:
-        ParameterError: an unknown name, a wrong type, a value out of range.
-    """
-    if values.get("path") == "sim1" and "slip_std" not in values:
-        values = {**values, "slip_std": SIMULATION_1_SLIP_STD}
-    return build(FakeRobotParameters, values)
+    def slip(self) -> tuple[float, float]:
+        """Return the slip per 375 ms: as set, or the path's own (m, rad)."""
+        if not math.isnan(self.slip_std[0]):
+            return self.slip_std
+        return SIMULATION_1_SLIP_STD if self.path == "sim1" else SIMULATION_2_SLIP_STD

@@ -1,24 +1,16 @@
 """Parameter files in ROS form, and `-p name:=value` as ROS writes it."""
 
-import re
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, fields_of
+from fnn_ekf_ros.text_files import read_text
+from fnn_ekf_ros.yaml_text import load_yaml
 
-
-class _RosLoader(yaml.SafeLoader):
-    """Reads 1e-3 (without a point) as a number, as ROS does and YAML 1.1 does not."""
-
-
-_RosLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
-)
+_MISREAD = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
+"""Words that mean something else in YAML."""
 
 
 def read_parameter_file(path: Path, node_name: str) -> dict[str, Any]:
@@ -31,26 +23,29 @@ def read_parameter_file(path: Path, node_name: str) -> dict[str, Any]:
     Raises:
         ParameterError: the file cannot be read or is not in ROS form.
     """
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _RosLoader)  # noqa: S506 (safe)
-    except OSError as error:
-        raise ParameterError(f"parameter file '{path}': {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ParameterError(f"parameter file '{path}' is not YAML: {reason}") from None
+    text = read_text(path, "parameter file", ParameterError)
+    content = load_yaml(text, f"parameter file '{path}'", ParameterError)
     form = f"'/**/{node_name}:', under it 'ros__parameters:', under it the parameters"
     if not isinstance(content, dict):
         raise ParameterError(f"parameter file '{path}' holds no sections: expected {form}")
     values: dict[str, Any] = {}
     named = []
+    robots: set[str] = set()
     for name, section in _sections("", content):
-        if not isinstance(section, dict):
+        if not isinstance(section, dict) or not name:
             raise ParameterError(f"parameter file '{path}', section '{name}': expected {form}")
         named.append(name)
         if name.rsplit("/", 1)[-1] in {node_name, "*", "**"}:
             values.update(_flatten("", section))
+            if "*" not in name:
+                robots.add(name)
     if not named:
         raise ParameterError(f"parameter file '{path}' has no 'ros__parameters': expected {form}")
+    if len(robots) > 1:
+        raise ParameterError(
+            f"parameter file '{path}' has sections for {' and '.join(sorted(robots))}: expected "
+            "one, or a pattern such as /**"
+        )
     return values
 
 
@@ -63,10 +58,7 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     name, separator, value = text.partition(":=")
     if not separator or not name:
         raise ParameterError(f"-p {text}: expected name:=value")
-    try:
-        return name, yaml.load(value, _RosLoader)  # noqa: S506 (a SafeLoader)
-    except yaml.YAMLError:
-        raise ParameterError(f"-p {text}: '{value}' is not YAML") from None
+    return name, load_yaml(value, f"-p {name}:= value '{value[:80]}'", ParameterError)
 
 
 def render_parameter_file(
@@ -97,7 +89,9 @@ def _yaml(value: Any) -> str:
         return ".nan" if value != value else repr(value)
     if isinstance(value, int):
         return str(value)
-    return str(yaml.safe_dump(value, default_flow_style=True)).splitlines()[0]
+    return (
+        json.dumps(value) if not value.isidentifier() or value.lower() in _MISREAD else str(value)
+    )
 
 
 def _sections(prefix: str, content: Mapping[Any, Any]) -> Iterator[tuple[str, Any]]:

@@ -3,11 +3,14 @@
 import math
 from dataclasses import dataclass
 
+from fnn_ekf_ros.core.adaptation import AdaptationMode, InferenceKind
+from fnn_ekf_ros.core.limits import LARGEST_POSITION, LARGEST_STD, SMALLEST_STD
+from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, parameter, refusal
 
 NODE_NAME = "localizer"
-SMALLEST_STD, LARGEST_STD = 1e-5, 1e3
-"""No sensor is better or worse; and in between no covariance becomes singular (m, rad)."""
+MOST_PERIODS_KEPT = 500
+"""So many states are kept at the most, to go back to; running them again takes half a second."""
 NOT_SET = (math.nan, math.nan, math.nan)
 
 
@@ -20,7 +23,7 @@ class LocalizerParameters(Parameters):
         0.0,
         "Radius of the wheels, D / 2; set it to your robot's.",
         "m",
-        above=0.0,
+        at_least=1e-4,
         at_most=10.0,
         required=True,
     )
@@ -28,12 +31,12 @@ class LocalizerParameters(Parameters):
         0.0,
         "Distance between the wheels' contact points, L; set it to your robot's.",
         "m",
-        above=0.0,
+        at_least=1e-3,
         at_most=100.0,
         required=True,
     )
     gear_ratio: float = parameter(
-        1.0, "Encoder turns per wheel turn, n.", "", above=0.0, at_most=1e6
+        1.0, "Encoder turns per wheel turn, n.", "", at_least=1e-6, at_most=1e6
     )
     encoder_counts_per_revolution: float = parameter(
         0.0,
@@ -81,14 +84,14 @@ class LocalizerParameters(Parameters):
         "How far back a late measurement is still fused at the time it was taken.",
         "s",
         at_least=0.0,
-        at_most=60.0,
+        at_most=10.0,
     )
 
     # Filter
     motion_model: str = parameter(
         "exact_arc",
         "Motion of one period: exact_arc, or paper (eq. 4) to reproduce the paper.",
-        choices=("exact_arc", "paper"),
+        choices=tuple(MotionModel),
     )
     process_noise_std: tuple[float, float] = parameter(
         (0.05, math.radians(3.0)),
@@ -123,14 +126,14 @@ class LocalizerParameters(Parameters):
     adaptation: str = parameter(
         "none",
         "What the fuzzy neural network adapts: none, r (measurement) or q (process).",
-        choices=("none", "r", "q"),
+        choices=tuple(AdaptationMode),
     )
     innovation_window: int = parameter(
         45,
         "Number of innovations the network compares with the filter's expectation, N.",
         "",
         at_least=2,
-        at_most=10000,
+        at_most=1000,
     )
     membership_file: str = parameter(
         "published", "Membership functions: initial or published (the paper's), or a file's path."
@@ -138,7 +141,7 @@ class LocalizerParameters(Parameters):
     inference: str = parameter(
         "tsukamoto",
         "tsukamoto (the network), or centroid (the plain fuzzy system, eq. 18).",
-        choices=("tsukamoto", "centroid"),
+        choices=tuple(InferenceKind),
     )
     process_noise_std_min: tuple[float, float] = parameter(
         (1e-4, 1e-4),
@@ -174,6 +177,8 @@ class LocalizerParameters(Parameters):
         NOT_SET,
         "Pose to start from; .nan: wait until x, y and yaw have been measured.",
         "[m, m, rad]",
+        at_least=-LARGEST_POSITION,
+        at_most=LARGEST_POSITION,
         may_be_nan=True,
     )
     initial_pose_std: tuple[float, float, float] = parameter(
@@ -194,7 +199,12 @@ class LocalizerParameters(Parameters):
         Raises:
             ParameterError: no counts per revolution, or a start outside of its bounds.
         """
-        if self.encoder_source == "ticks" and self.encoder_counts_per_revolution == 0.0:
+        if self.history > MOST_PERIODS_KEPT * self.period:
+            raise refusal(
+                "history", self.history,
+                f"at most {MOST_PERIODS_KEPT} periods of {self.period:g} s",
+            )  # fmt: skip
+        if self.encoder_source == "ticks" and self.encoder_counts_per_revolution < 1e-3:
             raise ParameterError(
                 "parameter 'encoder_counts_per_revolution' is not set: expected a number greater "
                 "than 0 [counts]; set it to the counts per turn of the encoder"

@@ -6,6 +6,7 @@ the checks, the YAML files, the ROS descriptors and the documentation; nothing i
 
 import dataclasses
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -30,9 +31,8 @@ class Spec:
     Attributes:
         doc: one sentence for the user.
         unit: unit of a number, or of each entry of a list.
-        above: the value must be greater (each entry of a list).
-        at_least: the value must not be smaller.
-        at_most: the value must not be larger.
+        at_least: smallest value (of each entry of a list).
+        at_most: largest value.
         choices: the words a string may be; empty for any.
         required: the default stands for "not set" and is no valid value.
         may_be_nan: NaN stands for "not set" and is valid.
@@ -40,7 +40,6 @@ class Spec:
 
     doc: str
     unit: str = ""
-    above: float = -math.inf
     at_least: float = -math.inf
     at_most: float = math.inf
     choices: tuple[str, ...] = ()
@@ -50,14 +49,9 @@ class Spec:
     @property
     def limits(self) -> str:
         """The allowed range in words; empty if there is none."""
-        parts = []
-        if self.above > -math.inf:
-            parts.append(f"greater than {self.above:g}")
-        if self.at_least > -math.inf:
-            parts.append(f"at least {self.at_least:g}")
-        if self.at_most < math.inf:
-            parts.append(f"at most {self.at_most:g}")
-        return " and ".join(parts)
+        if self.at_least == -math.inf and self.at_most == math.inf:
+            return ""
+        return f"from {self.at_least:.10g} to {self.at_most:.10g}"
 
 
 def parameter(default: ParameterValue, doc: str, unit: str = "", **limits: Any) -> Any:
@@ -110,6 +104,8 @@ def build(kind: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
     """
     known = [name for name, _, _ in fields_of(kind)]
     for name in values:
+        if name in ALWAYS_ALLOWED and not isinstance(values[name], bool):
+            raise refusal(name, values[name], "true or false")
         if name not in known and not is_always_allowed(name):
             raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}")
     return kind(**{name: value for name, value in values.items() if name in known})
@@ -122,8 +118,8 @@ def is_always_allowed(name: str) -> bool:
 
 def refusal(name: str, value: object, expected: str) -> ParameterError:
     """Return the error for a parameter: its name, the value, what was expected instead."""
-    shown = list(value) if isinstance(value, tuple) else value
-    return ParameterError(f"parameter '{name}' is {shown!r}: expected {expected}")
+    shown = reprlib.repr(list(value) if isinstance(value, tuple) else value)
+    return ParameterError(f"parameter '{name}' is {shown}: expected {expected}")
 
 
 def _suggestion(name: str, known: list[str]) -> str:
@@ -150,14 +146,14 @@ def _checked_word(name: str, spec: Spec, value: Any) -> str:
     if not isinstance(value, str):
         hint = " (a bare off, no, on or yes is a truth value in YAML)"
         raise refusal(name, value, expected + (hint if isinstance(value, bool) else ""))
-    if value == "" or (spec.choices and value not in spec.choices):
+    if not value.isprintable() or value == "" or (spec.choices and value not in spec.choices):
         raise refusal(name, value, expected)
     return str(value)
 
 
 def _checked_list(name: str, spec: Spec, length: int, value: Any) -> tuple[float, ...]:
     expected = f"a list of {length} numbers" + (f" {spec.unit}" if spec.unit else "")
-    if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != length:
+    if not isinstance(value, list | tuple) or len(value) != length:
         raise refusal(name, value, expected)
     numbers = [_number(entry) for entry in value]
     if any(number is None for number in numbers):
@@ -168,7 +164,7 @@ def _checked_list(name: str, spec: Spec, length: int, value: Any) -> tuple[float
             raise refusal(name, checked, f"{expected}, or all .nan for 'not set'")
         return checked
     if not all(_inside(spec, number) for number in checked):
-        raise refusal(name, checked, f"{expected}, each finite{_and(spec.limits)}")
+        raise refusal(name, checked, f"{expected}, each {spec.limits or 'finite'}")
     return checked
 
 
@@ -188,19 +184,21 @@ def _checked_number(name: str, spec: Spec, value: Any, *, whole: bool) -> int | 
     return int(number) if whole else float(number)
 
 
+def finite_number(value: Any) -> float | None:
+    """Return a finite number as a float; None for anything else."""
+    number = _number(value)
+    return number if number is not None and math.isfinite(number) else None
+
+
 def _number(value: Any) -> float | None:
     """Return the value as a float; None if it is no number."""
-    if isinstance(value, bool | str):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
         return float(value)
-    except (TypeError, ValueError, OverflowError):
-        return None
+    except OverflowError:
+        return math.inf
 
 
 def _inside(spec: Spec, number: float) -> bool:
-    return math.isfinite(number) and number > spec.above and spec.at_least <= number <= spec.at_most
-
-
-def _and(limits: str) -> str:
-    return f" and {limits}" if limits else ""
+    return math.isfinite(number) and spec.at_least <= number <= spec.at_most

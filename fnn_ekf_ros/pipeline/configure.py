@@ -1,4 +1,4 @@
-"""From the localizer's parameters to the core's models; the only place that squares."""
+"""From the localizer's parameters to the core's models."""
 
 import math
 
@@ -36,7 +36,7 @@ def filter_model(parameters: LocalizerParameters, network: FuzzyNetwork) -> Filt
         motion_model=MotionModel(p.motion_model),
         period_s=p.period,
         process_noise=_process(p.process_noise_std),
-        measurement_noise=_measurement(p.measurement_noise_std, p.lrf_yaw_std),
+        measurement_noise=measurement_noise(p),
         adaptation=Adaptation(
             mode=AdaptationMode(p.adaptation),
             kind=InferenceKind(p.inference),
@@ -54,6 +54,11 @@ def filter_model(parameters: LocalizerParameters, network: FuzzyNetwork) -> Filt
             ),
         ),
     )
+
+
+def measurement_noise(parameters: LocalizerParameters) -> tuple[float, float, float, float]:
+    """Return the diagonal of R to start with, rows as in `Row`."""
+    return _measurement(parameters.measurement_noise_std, parameters.lrf_yaw_std)
 
 
 def _process(std: tuple[float, float]) -> tuple[float, float]:

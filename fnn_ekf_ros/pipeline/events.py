@@ -54,7 +54,7 @@ class PoseFix(NamedTuple):
     Attributes:
         stamp_ns: ROS time [ns].
         pose: `(3,)` [x, y, yaw] in the map frame (m, m, rad).
-        covariance: `(3, 3)` as the sensor reported it; finite, but not otherwise checked.
+        covariance: `(3, 3)` as the sensor reported it; checked where it is used.
     """
 
     stamp_ns: int
@@ -68,7 +68,7 @@ class PoseReset(NamedTuple):
     Attributes:
         stamp_ns: ROS time [ns].
         pose: `(3,)` [x, y, yaw] in the map frame (m, m, rad).
-        covariance: `(3, 3)`; where its diagonal is 0, `initial_pose_std` is taken instead.
+        covariance: `(3, 3)`, symmetric positive definite.
     """
 
     stamp_ns: int

@@ -12,6 +12,7 @@ from collections import Counter
 
 import numpy as np
 
+from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.filter import FilterState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.events import (
@@ -85,14 +86,18 @@ class Health:
             self._new_timeouts += 1
 
     def report(
-        self, now_ns: int, state: FilterState | Waiting, estimate: Estimate | None
+        self,
+        now_ns: int,
+        state: FilterState | Waiting,
+        estimate: Estimate | None,
+        mode: AdaptationMode,
     ) -> tuple[Status, ...]:
         """Return the statuses; what is new since the last report decides their levels."""
         statuses = (
             self._encoders(now_ns),
             self._sensor(Sensor.COMPASS, now_ns, expected=not self._parameters.lrf_use_yaw),
             self._sensor(Sensor.LRF_POSE, now_ns, expected=True),
-            self._filter(state, estimate),
+            self._filter(state, estimate, mode),
             self._time(),
         )
         self._new_refusal.clear()
@@ -127,9 +132,11 @@ class Health:
             return Status(sensor, Level.WARN, f"silent for {age_ns * 1e-9:.1f} s", values)
         return Status(sensor, Level.OK, "received", values)
 
-    def _filter(self, state: FilterState | Waiting, estimate: Estimate | None) -> Status:
+    def _filter(
+        self, state: FilterState | Waiting, estimate: Estimate | None, mode: AdaptationMode
+    ) -> Status:
         values: Values = (
-            ("adaptation", self._parameters.adaptation),
+            ("adaptation", mode.value),
             ("process noise std [m, rad]", _stds(state.process_noise)),
             ("measurement noise std [m, m, rad, rad]", _stds(state.measurement_noise)),
         )
@@ -139,6 +146,8 @@ class Health:
                 for name, value in (("position", state.position), ("yaw", state.yaw))
                 if value is None
             ]
+            if Sensor.ENCODERS not in self._last_ns:
+                missing.insert(0, "wheel counts")
             message = f"waiting for the first {' and '.join(missing)}"
             return Status("filter", Level.WARN, message, values)
         values += (("position std [m]", f"{_position_std(state):.3g}"),)

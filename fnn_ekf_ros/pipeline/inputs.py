@@ -9,7 +9,7 @@ from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, FloatArray, Row
 from fnn_ekf_ros.core.filter import StepInput
 from fnn_ekf_ros.core.odometry import control_from_counts
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.configure import wheel_geometry
+from fnn_ekf_ros.pipeline.configure import measurement_noise, wheel_geometry
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Event,
@@ -77,6 +77,7 @@ class InputBuffer:
     def __init__(self, parameters: LocalizerParameters) -> None:
         self._parameters = parameters
         self._geometry = wheel_geometry(parameters)
+        self._measurement_noise = measurement_noise(parameters)
         modulus = None
         if parameters.encoder_source == "ticks":
             modulus = 2**parameters.encoder_bits
@@ -159,11 +160,7 @@ class InputBuffer:
             available[rows] = True
             at[rows] = control(fix.stamp_ns)
             if self._parameters.lrf_use_message_covariance:
-                covariance = np.diag(
-                    np.square(
-                        (*self._parameters.measurement_noise_std, self._parameters.lrf_yaw_std)
-                    )
-                )
+                covariance = np.diag(self._measurement_noise)
                 covariance[np.ix_(rows, rows)] = fix.covariance[: len(rows), : len(rows)]
         reset = self._resets.latest(begin_ns, end_ns)
         return PeriodInputs(

@@ -16,6 +16,7 @@ from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.filter import (
     NOMINAL_PERIOD_S,
+    FilterModel,
     FilterState,
     StepResult,
     reset_pose,
@@ -25,13 +26,14 @@ from fnn_ekf_ros.core.filter import (
 from fnn_ekf_ros.core.motion import move
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
-from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, Rejected, Status
+from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, PoseReset, Rejected, Status
 from fnn_ekf_ros.pipeline.health import Health
 from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer, PeriodInputs
 from fnn_ekf_ros.pipeline.start import Waiting, wait
 
-LONGEST_SILENCE_NS = 600 * 10**9
-"""A clock that jumps ahead by more starts the localizer anew instead of filling the time [ns]."""
+LONGEST_SILENCE_PERIODS = 1600
+"""A clock that jumps ahead by more starts the localizer anew instead of filling the time; ten
+minutes at 375 ms, and about a second of work."""
 LARGEST_LEAD_NS = 10**9
 """Stamps further ahead of the clock are not believed [ns]."""
 HEALTH_INTERVAL_NS = 10**9
@@ -45,7 +47,10 @@ class _Checkpoint(NamedTuple):
 
     stamp_ns: int
     state: FilterState | Waiting
-    counts: Counts
+    counts: Counts | None
+    """What the wheels had counted for the periods so far; None before the first."""
+    model: FilterModel
+    """The model the period was run with, for when it is run again."""
 
 
 class Pipeline:
@@ -63,10 +68,11 @@ class Pipeline:
         self._period_ns = round(parameters.period * 1e9)
         self._timeout_ns = round(parameters.encoder_timeout * 1e9)
         self._history_ns = round(parameters.history * 1e9)
+        self._longest_silence_ns = LONGEST_SILENCE_PERIODS * self._period_ns + self._timeout_ns
         self._checkpoints: deque[_Checkpoint] = deque()
         self._changed_ns = _NEVER_NS
         self._now_ns = -_NEVER_NS
-        self._restart()
+        self.reset()
 
     def add(self, event: Event, now_ns: int) -> list[Output]:
         """Take an event in; return the periods closed by it and by the time that has passed.
@@ -76,9 +82,10 @@ class Pipeline:
             now_ns: ROS time at which it arrived [ns].
         """
         outputs = self.advance(now_ns)
+        if isinstance(event, PoseReset):  # a command, not a measurement: never too late
+            oldest_ns = self._checkpoints[0].stamp_ns
+            event = event._replace(stamp_ns=max(event.stamp_ns, oldest_ns + 1))
         if self._accepts(event, now_ns):
-            if not self._checkpoints:
-                self._begin(event.stamp_ns)
             changed_ns = self._inputs.add(event)
             if changed_ns <= self._checkpoints[-1].stamp_ns:
                 self._changed_ns = min(changed_ns, self._changed_ns)
@@ -90,10 +97,14 @@ class Pipeline:
         if now_ns < self._now_ns - self._history_ns:
             self._health.restarted("the clock went back", self._now_ns, now_ns)
             self._restart()
-        elif self._checkpoints and now_ns > self._checkpoints[-1].stamp_ns + LONGEST_SILENCE_NS:
+        elif (
+            self._checkpoints and now_ns > self._checkpoints[-1].stamp_ns + self._longest_silence_ns
+        ):
             self._health.restarted("the clock jumped ahead", self._now_ns, now_ns)
             self._restart()
         self._now_ns = max(now_ns, self._now_ns)
+        if not self._checkpoints:
+            self._begin(now_ns)
         return self._close()
 
     def reject(self, rejected: Rejected) -> None:
@@ -103,11 +114,15 @@ class Pipeline:
     def report(self) -> tuple[Status, ...]:
         """Return the statuses as they are now."""
         now_ns = self._checkpoints[-1].stamp_ns if self._checkpoints else 0
-        return self._health.report(now_ns, self._state(), None)
+        return self._health.report(now_ns, self._state(), None, self._model.adaptation.mode)
 
     def reset(self) -> None:
         """Forget the pose and all that was adapted, as at start-up."""
         self._checkpoints.clear()
+        self._start_noise = (
+            np.asarray(self._model.process_noise),
+            np.asarray(self._model.measurement_noise),
+        )
         self._restart()
 
     def enable_adaptation(self, enabled: bool) -> None:
@@ -122,11 +137,6 @@ class Pipeline:
         if self._checkpoints:
             last = self._checkpoints[-1].state
             self._start_noise = last.process_noise, last.measurement_noise
-        else:
-            self._start_noise = (
-                np.asarray(self._model.process_noise),
-                np.asarray(self._model.measurement_noise),
-            )
         self._checkpoints.clear()
         self._inputs = InputBuffer(self.parameters)
         self._changed_ns = _NEVER_NS
@@ -140,22 +150,23 @@ class Pipeline:
         if lead_ns > LARGEST_LEAD_NS:
             self._health.dropped(event, f"stamped {lead_ns * 1e-9:.3f} s ahead of the clock")
             return False
-        if self._checkpoints:
-            late_ns = self._checkpoints[-1].stamp_ns - event.stamp_ns
-            if late_ns > self._history_ns:
-                self._health.dropped(event, f"late by {late_ns * 1e-9:.3f} s, more than history")
-                return False
+        if event.stamp_ns <= self._checkpoints[0].stamp_ns:  # the oldest state that is kept
+            self._health.dropped(event, f"late by {-lead_ns * 1e-9:.3f} s")
+            return False
         return True
 
-    def _begin(self, stamp_ns: int) -> None:
-        """Open the first period: the one that an event of this time belongs to."""
-        begin_ns = (stamp_ns - 1) // self._period_ns * self._period_ns
+    def _begin(self, now_ns: int) -> None:
+        """Open the first period: `history` ago, for what is on its way; now for a given pose."""
         waiting = Waiting(*self._start_noise)
         state: FilterState | Waiting = waiting
-        if not np.isnan(self.parameters.initial_pose[0]):
+        begin_ns = now_ns
+        if np.isnan(self.parameters.initial_pose[0]):
+            begin_ns -= self._history_ns
+        else:
             covariance = np.diag(np.square(self.parameters.initial_pose_std))
             state = self._started(waiting, np.array(self.parameters.initial_pose), covariance)
-        self._checkpoints.append(_Checkpoint(begin_ns, state, Counts(0.0, 0.0)))
+        begin_ns = (begin_ns - 1) // self._period_ns * self._period_ns
+        self._checkpoints.append(_Checkpoint(begin_ns, state, None, self._model))
 
     def _close(self) -> list[Output]:
         """Close the periods that can be closed now."""
@@ -166,42 +177,59 @@ class Pipeline:
             complete = known_ns is not None and known_ns >= end_ns
             if not complete and self._now_ns < end_ns + self._timeout_ns:
                 break
-            self._redo_changed()
-            estimate = self._run_period(end_ns)
+            estimate = self._run_open_periods(end_ns)
             self._health.closed(complete)
             outputs.append(Output(end_ns, estimate, self._report(end_ns, estimate)))
             self._forget()
         return outputs
 
-    def _redo_changed(self) -> None:
-        """Run the closed periods again that late inputs belong to."""
-        if self._changed_ns == _NEVER_NS:
-            return
-        redo: list[int] = []
-        while len(self._checkpoints) > 1 and self._checkpoints[-1].stamp_ns >= self._changed_ns:
-            redo.append(self._checkpoints.pop().stamp_ns)
-        self._changed_ns = _NEVER_NS
-        for end_ns in reversed(redo):
-            self._run_period(end_ns)
-        self._health.redone(len(redo))
+    def _run_open_periods(self, end_ns: int) -> Estimate | None:
+        """Run the periods that late inputs belong to again, and then the one that ends now.
 
-    def _run_period(self, end_ns: int) -> Estimate | None:
-        before = self._checkpoints[-1]
-        period = self._inputs.period(before.stamp_ns, end_ns, before.counts)
+        A filter that leaves the finite numbers starts anew with the noise it had, and says so.
+        """
+        kept = deque(self._checkpoints)
+        redo: list[_Checkpoint] = []
+        while len(kept) > 1 and kept[-1].stamp_ns >= self._changed_ns:
+            redo.append(kept.pop())
+        self._changed_ns = _NEVER_NS
+        estimate = None
+        try:
+            for stamp_ns, model in [
+                *((before.stamp_ns, before.model) for before in reversed(redo)),
+                (end_ns, self._model),
+            ]:
+                checkpoint, estimate = self._run_period(kept[-1], stamp_ns, model)
+                kept.append(checkpoint)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            self._health.restarted(f"the filter failed ({error})", end_ns, end_ns)
+            lost = _Checkpoint(end_ns, Waiting(*self._start_noise), None, self._model)
+            kept, estimate = deque([lost]), None
+        self._checkpoints = kept
+        self._health.redone(len(redo))
+        return estimate
+
+    def _run_period(
+        self, before: _Checkpoint, end_ns: int, model: FilterModel
+    ) -> tuple[_Checkpoint, Estimate | None]:
+        counts = before.counts or self._inputs.counts_at(before.stamp_ns)
+        period = self._inputs.period(before.stamp_ns, end_ns, counts)
         state: FilterState | Waiting
         result: StepResult | None = None
         if isinstance(before.state, Waiting):
             state = before.state
             if self._inputs.wheels_known_at(before.stamp_ns):
-                state = wait(self._model, before.state, period.step)
+                state = wait(model, before.state, period.step)
         else:
-            state, result = step(self._model, before.state, period.step)
+            state, result = step(model, before.state, period.step)
         state = self._set_pose(state, period)
-        self._checkpoints.append(_Checkpoint(end_ns, state, period.counts))
+        checkpoint = _Checkpoint(end_ns, state, period.counts, model)
         if isinstance(state, Waiting):
-            return None
+            return checkpoint, None
+        if not (np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.covariance))):
+            raise ArithmeticError("a number is not finite")
         T = self.parameters.period
-        return Estimate(
+        return checkpoint, Estimate(
             stamp_ns=end_ns,
             state=state,
             twist=period.step.control / T,
@@ -216,9 +244,7 @@ class Pipeline:
         if period.reset is None:
             return state
         moved = move(self._model.motion_model, period.reset.pose, period.control_since_reset)
-        given = period.reset.covariance
-        usable = np.all(np.isfinite(given)) and np.all(np.linalg.eigvalsh(given) > 0.0)
-        covariance = given if usable else np.diag(np.square(self.parameters.initial_pose_std))
+        covariance = period.reset.covariance
         if isinstance(state, Waiting):
             return self._started(state, moved.mean, covariance)
         return reset_pose(state, moved.mean, covariance)
@@ -231,7 +257,7 @@ class Pipeline:
     def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:
         if end_ns // HEALTH_INTERVAL_NS == (end_ns - self._period_ns) // HEALTH_INTERVAL_NS:
             return None
-        return self._health.report(end_ns, self._state(), estimate)
+        return self._health.report(end_ns, self._state(), estimate, self._model.adaptation.mode)
 
     def _forget(self) -> None:
         """Drop what lies further back than `history`."""

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.filter import (
     NOMINAL_PERIOD_S,
@@ -82,7 +83,7 @@ def wait(model: FilterModel, waiting: Waiting, period: StepInput) -> Waiting | F
     covariance[2, 2] = waiting.yaw_variance
     return start_filter(
         model,
-        np.array([x, y, (waiting.yaw + np.pi) % (2.0 * np.pi) - np.pi]),
+        np.array([x, y, float(wrap_angle(waiting.yaw))]),
         covariance,
         waiting.process_noise,
         waiting.measurement_noise,

@@ -7,16 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.parameters.fake_robot import (
-    NODE_NAME,
-    FakeRobotParameters,
-    build_fake_robot,
-)
+from fnn_ekf_ros.parameters.fake_robot import NODE_NAME, FakeRobotParameters
+from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import (
     as_overrides,
     declare,
-    given_parameters,
+    parameters_from_ros,
     ros_started,
     spin_until_stopped,
 )
@@ -28,6 +25,8 @@ from rclpy.node import Node  # isort: skip
 from rclpy.qos import QoSProfile  # isort: skip
 
 OUTPUT_QOS = QoSProfile(depth=100)
+LARGEST_JUMP_NS = 5 * 10**9
+"""A clock that is further away has jumped [ns]."""
 MOST_STEPS_AT_ONCE = 400
 """A robot that has fallen behind its clock catches up in portions, so that it stays responsive."""
 
@@ -76,8 +75,10 @@ class FakeRobotNode(Node):  # type: ignore[misc]
         now_ns = self._now_ns()
         if now_ns <= 0:
             return  # simulated time has not begun
-        if self._robot is None or now_ns < self._robot.stamp_ns - STEP_NS:
+        if self._robot is None:
             self._robot = FakeRobot(self._settings, now_ns)
+        if abs(now_ns - self._robot.stamp_ns) > LARGEST_JUMP_NS:
+            self._robot.jump_to(now_ns)  # the clock has been set, not the robot carried
         for _ in range(MOST_STEPS_AT_ONCE):
             if self._robot.stamp_ns + STEP_NS > now_ns:
                 return
@@ -111,13 +112,13 @@ class FakeRobotNode(Node):  # type: ignore[misc]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments; all of them are ROS arguments."""
     parser.epilog = (
-        "Parameters: --ros-args --params-file FILE, or -p name:=value; config/fake_robot.yaml "
-        "lists them."
+        f"Publishes {', '.join(OUTPUT_TYPES)}, /clock when asked; listens to cmd_vel when asked. "
+        "Parameters: share/fnn_ekf_ros/config/fake_robot.yaml lists them."
     )
 
 
 def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
-        parameters = build_fake_robot(given_parameters(NODE_NAME))
+        parameters = build(FakeRobotParameters, parameters_from_ros(NODE_NAME))
         return spin_until_stopped(lambda: FakeRobotNode(parameters))

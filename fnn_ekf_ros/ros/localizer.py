@@ -2,6 +2,8 @@
 
 import argparse
 import functools
+import math
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,13 +12,14 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.pipeline.events import Output, Rejected
+from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import (
+    LOG_INTERVAL_S,
     as_overrides,
     declare,
-    given_parameters,
+    parameters_from_ros,
     ros_started,
     spin_until_stopped,
 )
@@ -29,8 +32,6 @@ from std_srvs.srv import SetBool, Trigger  # isort: skip
 INPUT_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Best effort as for sensor data, but deep enough for a burst of a second."""
 OUTPUT_QOS = QoSProfile(depth=10)
-LOG_INTERVAL_S = 10.0
-"""A trouble that lasts is logged this often [s]."""
 TIMER_DIVISOR = 4
 """The clock is looked at so many times a period, to close periods that wait for the wheels."""
 
@@ -48,6 +49,8 @@ class LocalizerNode(Node):  # type: ignore[misc]
         declare(self, LocalizerParameters)
         self._settings = parameters
         self._pipeline = Pipeline(parameters, network)
+        self._levels: dict[str, Level] = {}
+        self._refusal_logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
         self._odom, self._noise, self._diagnostics = (
             self.create_publisher(
@@ -86,21 +89,14 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 f"{topic} before the first /clock is dropped", throttle_duration_sec=LOG_INTERVAL_S
             )
             return
-        try:
-            events = messages.read_input(topic, message, now_ns, self._settings)
-            if isinstance(events, Rejected):
-                self._pipeline.reject(events)
-                self.get_logger().warning(
-                    f"refused: {events.reason}", throttle_duration_sec=LOG_INTERVAL_S
-                )
-                return
-            for event in events:
-                self._publish(self._pipeline.add(event, now_ns))
-        except Exception as error:  # a robot must not lose its localizer over one message
-            self.get_logger().error(
-                f"{topic}: {type(error).__name__}: {error}; the message is dropped",
-                throttle_duration_sec=LOG_INTERVAL_S,
-            )
+        events = messages.read_input(topic, message, now_ns, self._settings)
+        if isinstance(events, Rejected):
+            self._pipeline.reject(events)
+            self._log_refusal(topic, events)
+            events = []
+        for event in events:
+            self._publish(self._pipeline.add(event, now_ns))
+        self._publish(self._pipeline.advance(now_ns))
 
     def _look_at_clock(self) -> None:
         now_ns = self._now_ns()
@@ -116,9 +112,28 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 self._odom.publish(build_message(odometry))
                 self._noise.publish(build_message(messages.noise(output.estimate)))
             if output.health is not None:
+                self._log_changes(output.health)
                 name = self.get_fully_qualified_name().lstrip("/")
                 diagnostics = messages.diagnostics(output.stamp_ns, name, output.health)
                 self._diagnostics.publish(build_message(diagnostics))
+
+    def _log_refusal(self, topic: str, rejected: Rejected) -> None:
+        """Log a refused message, of each topic once in a while."""
+        now_s = time.monotonic()
+        if now_s - self._refusal_logged_s.get(topic, -math.inf) > LOG_INTERVAL_S:
+            self._refusal_logged_s[topic] = now_s
+            self.get_logger().warning(f"refused: {rejected.reason}")
+
+    def _log_changes(self, statuses: Sequence[Status]) -> None:
+        """Log a status when it gets better or worse; /diagnostics has it all the time."""
+        for status in statuses:
+            if status.level != self._levels.get(status.name, Level.OK):
+                text = f"{status.name}: {status.message}"
+                if status.level is Level.OK:
+                    self.get_logger().info(text)
+                else:
+                    self.get_logger().warning(text)
+            self._levels[status.name] = status.level
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._pipeline.reset()
@@ -144,8 +159,9 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
 
 EPILOG = (
-    "Parameters: --ros-args --params-file FILE, or -p name:=value; config/localizer.yaml lists "
-    "them. wheel_radius, wheel_separation and encoder_counts_per_revolution must be set."
+    f"Listens to {', '.join(messages.INPUT_TYPES)}; publishes odom, ~/noise, /diagnostics; serves "
+    "~/reset, ~/enable_adaptation. Parameters: share/fnn_ekf_ros/config/localizer.yaml lists them; "
+    "wheel_radius, wheel_separation and encoder_counts_per_revolution must be set."
 )
 
 
@@ -157,6 +173,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
-        parameters = build(LocalizerParameters, given_parameters(NODE_NAME))
+        parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
         network = read_membership(parameters.membership_file)
         return spin_until_stopped(lambda: LocalizerNode(parameters, network))

@@ -1,9 +1,7 @@
 """`play BAG`: publishes a recorded bag where `ros2 bag` is not installed."""
 
 import argparse
-import signal
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -13,14 +11,18 @@ from fnn_ekf_ros.bag_files import BagError, BagReader, Topic
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import ros_started
+from fnn_ekf_ros.stopping import STOPPED
 from fnn_ekf_ros.tools.progress import with_progress
 
-from rclpy.node import Node  # isort: skip  (runtime explains it if ROS is not here)
+from rclpy.duration import Duration  # isort: skip  (runtime explains it if ROS is not here)
+from rclpy.node import Node  # isort: skip
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # isort: skip
 
 NODE_NAME = "player"
 QUEUE_DEPTH = 1000
 LONGEST_SLEEP_S = 0.1
+DELIVERY_PATIENCE_S = 5.0
+"""A subscriber that does not take its messages is waited for at the end no longer [s]."""
 CLOCK_INTERVAL_NS = 10_000_000
 """With --clock, time is published with every message, and this often where there is none [ns]."""
 
@@ -47,19 +49,19 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     if not 1e-3 <= arguments.rate <= 1e4:
         raise FnnEkfError(f"--rate {arguments.rate:g}: expected 0.001 to 10000")
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
+    patience_s = arguments.wait_for_subscribers
+    if patience_s is not None and not 0.0 <= patience_s <= 1e6:
+        raise FnnEkfError(f"--wait-for-subscribers {patience_s:g}: expected 0 to 1e6 seconds")
     with BagReader(arguments.bag) as bag, ros_started([], NODE_NAME):
         topics = _chosen(bag, arguments)
         node = Node(NODE_NAME)
         try:
-            player = _Player(node, topics, arguments, stopped)
-            if arguments.wait_for_subscribers is not None:
-                player.wait_for_subscribers(arguments.wait_for_subscribers)
+            player = _Player(node, topics, arguments)
+            if patience_s is not None:
+                player.wait_for_subscribers(patience_s)
             while True:
                 player.play(bag)
-                if not arguments.loop or stopped.is_set():
+                if not arguments.loop or STOPPED.is_set():
                     break
             player.wait_for_delivery()
         finally:
@@ -75,10 +77,8 @@ class _Player:
         node: Node,
         topics: list[Topic],
         arguments: argparse.Namespace,
-        stopped: threading.Event,
     ) -> None:
         self._rate = arguments.rate
-        self._stopped = stopped
         self._publishers: dict[str, Any] = {}
         for topic in topics:
             try:
@@ -106,7 +106,7 @@ class _Player:
         if self._clock is not None:
             waiting[messages.CLOCK] = self._clock
         until = time.monotonic() + patience_s
-        while not self._stopped.is_set():
+        while not STOPPED.is_set():
             missing = [name for name, p in waiting.items() if p.get_subscription_count() == 0]
             if not missing:
                 return
@@ -114,7 +114,7 @@ class _Player:
                 raise FnnEkfError(
                     f"no subscriber after {patience_s:g} s on {', '.join(sorted(missing))}"
                 )
-            self._stopped.wait(0.02)
+            STOPPED.wait(0.02)
 
     def play(self, bag: BagReader) -> None:
         """Publish the recording once."""
@@ -125,28 +125,30 @@ class _Player:
             if began is None:
                 began, begin_ns, clock_ns = time.monotonic(), record.time_ns, record.time_ns
                 self._tell_clock(clock_ns)
-            while not self._stopped.is_set():
+            while not STOPPED.is_set():
                 due_ns = record.time_ns
                 if self._clock is not None:
                     due_ns = min(due_ns, clock_ns + CLOCK_INTERVAL_NS)
                 ahead_s = (due_ns - begin_ns) * 1e-9 / self._rate - (time.monotonic() - began)
                 if ahead_s > 0.0:
-                    self._stopped.wait(min(ahead_s, LONGEST_SLEEP_S))
+                    STOPPED.wait(min(ahead_s, LONGEST_SLEEP_S))
                     continue
                 if due_ns > clock_ns:
                     clock_ns = due_ns
                     self._tell_clock(clock_ns)
                 if due_ns == record.time_ns:
                     break
-            if self._stopped.is_set():
+            if STOPPED.is_set():
                 return
             self._publishers[record.topic].publish(bytes(record.data))
 
     def wait_for_delivery(self) -> None:
         """Give reliable subscribers the chance to fetch what is still queued."""
+        until = time.monotonic() + DELIVERY_PATIENCE_S
         for publisher in self._publishers.values():
-            if not self._stopped.is_set():
-                publisher.wait_for_all_acked()
+            while not STOPPED.is_set() and time.monotonic() < until:
+                if publisher.wait_for_all_acked(Duration(seconds=LONGEST_SLEEP_S)):
+                    break
 
     def _count(self, bag: BagReader) -> int:
         return sum(bag.topics[name].message_count for name in self._publishers)
@@ -159,8 +161,8 @@ class _Player:
 
 def _chosen(bag: BagReader, arguments: argparse.Namespace) -> list[Topic]:
     """Return the topics to publish: those asked for, never a recorded clock beside our own."""
-    asked = [_absolute(name) for name in (arguments.topics or [])]
-    excluded = {_absolute(name) for name in arguments.exclude_topics}
+    asked = [messages.absolute_name(name) for name in (arguments.topics or [])]
+    excluded = {messages.absolute_name(name) for name in arguments.exclude_topics}
     for name in [*asked, *excluded]:
         if name not in bag.topics:
             raise BagError(
@@ -176,10 +178,6 @@ def _chosen(bag: BagReader, arguments: argparse.Namespace) -> list[Topic]:
     if not chosen:
         raise BagError(f"bag '{bag.path}': no topic is left to publish")
     return chosen
-
-
-def _absolute(topic: str) -> str:
-    return topic if topic.startswith("/") else f"/{topic}"
 
 
 def _qos(topic: Topic) -> QoSProfile:

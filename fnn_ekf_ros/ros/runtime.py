@@ -1,8 +1,6 @@
 """What every node of the package does the same way: start, parameters, spin, stop."""
 
 import itertools
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,11 +9,12 @@ from typing import Any
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.files import parse_assignment, read_parameter_file
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, fields_of
+from fnn_ekf_ros.stopping import STOPPED
 
 try:
     import rclpy
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.node import Node
     from rclpy.parameter import Parameter
     from rclpy.signals import SignalHandlerOptions
@@ -25,6 +24,8 @@ except ImportError as error:
         "ros-jazzy-rclpy, ros-jazzy-rmw-fastrtps-cpp and ros-jazzy-common-interfaces wheels"
     ) from None
 
+LOG_INTERVAL_S = 10.0
+"""A trouble that lasts is logged this often [s]."""
 SPIN_TIMEOUT_S = 0.2
 """A node sees a signal at the latest after this time [s]."""
 
@@ -70,7 +71,7 @@ def ros_started(argv: Sequence[str], node_name: str) -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-def given_parameters(node_name: str) -> dict[str, Any]:
+def parameters_from_ros(node_name: str) -> dict[str, Any]:
     """Return the parameters that the ROS arguments hold for a node, whatever their names.
 
     rclpy passes over unknown names in silence, and ends in a traceback on a wrong type. A short
@@ -116,13 +117,12 @@ def declare(node: Node, kind: type[Parameters]) -> None:
         choices = f"one of {', '.join(spec.choices)}" if spec.choices else ""
         limits = spec.limits if isinstance(default, tuple) else ""
         descriptor.additional_constraints = "; ".join(filter(None, [choices, limits, unit]))
-        low = max(spec.above, spec.at_least)
         if isinstance(default, float):
-            span = FloatingPointRange(from_value=low, to_value=spec.at_most)
+            span = FloatingPointRange(from_value=spec.at_least, to_value=spec.at_most)
             descriptor.floating_point_range = [span]
         elif isinstance(default, int) and not isinstance(default, bool):
             descriptor.integer_range = [
-                IntegerRange(from_value=int(low), to_value=int(spec.at_most), step=1)
+                IntegerRange(from_value=int(spec.at_least), to_value=int(spec.at_most), step=1)
             ]
         node.declare_parameter(name, _ros_value(default), descriptor)
 
@@ -130,17 +130,27 @@ def declare(node: Node, kind: type[Parameters]) -> None:
 def spin_until_stopped(make_node: Callable[[], Node]) -> int:
     """Make a node and run it until SIGINT or SIGTERM; returns the exit code, 0.
 
-    The signal handlers are ours: with rclpy's own, a busy node now and then ends in a traceback.
+    The signal handlers are ours (`stop_by_signal`): with rclpy's own, a busy node now and then
+    ends in a traceback.
     """
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
-    node = make_node()
+    try:
+        node = make_node()
+    except Exception as error:  # what rclpy makes of a wrong qos_overrides, for one
+        raise FnnEkfError(f"the node cannot start: {_first_line(error)}") from None
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        while not stopped.is_set():
-            executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+        while not STOPPED.is_set():
+            try:
+                executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+            except ExternalShutdownException:
+                break
+            except Exception as error:  # a node must not die of a message, such as a wrong /clock
+                node.get_logger().error(
+                    f"{type(error).__name__}: {error}; carrying on",
+                    throttle_duration_sec=LOG_INTERVAL_S,
+                )
+                STOPPED.wait(0.01)
     finally:
         executor.shutdown()
         node.destroy_node()

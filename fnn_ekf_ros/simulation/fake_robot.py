@@ -69,6 +69,10 @@ class FakeRobot:
         """ROS time of the robot's state [ns]."""
         return self._step * STEP_NS
 
+    def jump_to(self, stamp_ns: int) -> None:
+        """Set the robot's clock without moving the robot [ns]."""
+        self._step = -(-stamp_ns // STEP_NS)
+
     def set_command(self, linear_x: float, angular_z: float) -> None:
         """Set what is driven from now on if the path is `cmd_vel` (m/s, rad/s)."""
         self._command = np.array([linear_x, angular_z])

@@ -95,7 +95,7 @@ def advance(
     way = speeds * (1.0 + parameters.wheel_speed_error * (2.0 * draws[0] - 1.0)) * STEP_S
 
     moving = np.any(speeds != 0.0, axis=-1, keepdims=True)
-    slip = draws[1] * np.asarray(parameters.slip_std) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
+    slip = draws[1] * np.asarray(parameters.slip()) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
     control = np.stack(
         [0.5 * (way[..., 0] + way[..., 1]), (way[..., 1] - way[..., 0]) / L], axis=-1
     ) + np.where(moving, slip, 0.0)

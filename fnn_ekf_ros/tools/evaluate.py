@@ -11,8 +11,9 @@ import numpy as np
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagError, BagReader
+from fnn_ekf_ros.core.limits import LARGEST_POSITION
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.tools.files import write_text
+from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools.scoring import Score, Track, score
 
 _ROW = "{:<28} {:>7} {:>9} {:>9} {:>11} {:>13} {:>9}"
@@ -40,31 +41,34 @@ def run(arguments: argparse.Namespace) -> int:
     labels = arguments.labels or [str(path) for path in arguments.bags]
     if len(labels) != len(arguments.bags):
         raise FnnEkfError(f"--labels: {len(labels)} labels, expected {len(arguments.bags)}")
+    if len(set(labels)) < len(labels):
+        raise FnnEkfError(f"{', '.join(labels)}: expected different labels, see --labels")
+    if arguments.plot is not None and arguments.plot.suffix != ".png":
+        raise FnnEkfError(f"--plot {arguments.plot}: expected a name that ends in .png")
     scores: dict[str, Score] = {}
-    tracks: dict[str, Track] = {}
+    runs: dict[str, tuple[Track, Track]] = {}
     truths: dict[Path, Track] = {}
     for label, path in zip(labels, arguments.bags, strict=True):
-        with BagReader(path) as bag:
-            tracks[label] = read_track(bag, arguments.odom_topic)
         source = arguments.truth_bag or path
         if source not in truths:
             with BagReader(source) as bag:
                 truths[source] = read_track(bag, arguments.truth_topic)
-        truth = truths[source]
-        result = score(tracks[label], truth)
+        with BagReader(path) as bag:
+            estimate = read_track(bag, arguments.odom_topic)
+        result = score(estimate, truths[source])
         if result is None:
             raise BagError(
                 f"bag '{path}': {arguments.odom_topic} and {arguments.truth_topic} have no time "
                 "in common"
             )
-        scores[label] = result
+        scores[label], runs[label] = result, (estimate, truths[source])
     print(format_table(scores))
     if arguments.json is not None:
-        write_text(arguments.json, json.dumps(_plain(scores), indent=2) + "\n")
+        write_text(arguments.json, json.dumps(_plain(scores), indent=2, allow_nan=False) + "\n")
     if arguments.plot is not None:
         from fnn_ekf_ros.tools.plots import plot_tracks
 
-        plot_tracks(arguments.plot, truth, tracks)
+        plot_tracks(arguments.plot, runs)
     return 0
 
 
@@ -85,7 +89,13 @@ def read_track(bag: BagReader, topic: str) -> Track:
     for record in bag.records({topic}):
         message = bag.message(record)
         stamps.append(messages.stamp_ns(message))
-        poses.append(messages.planar_pose(message))
+        pose = messages.planar_pose(message)
+        if not np.all(np.abs(pose[:2]) <= LARGEST_POSITION):
+            raise BagError(
+                f"bag '{bag.path}': {topic} at {stamps[-1]} ns is at ({pose[0]:g}, {pose[1]:g}) m, "
+                "expected finite coordinates"
+            )
+        poses.append(pose)
         covariances.append(messages.planar_block(message.pose.covariance))
     if not stamps:
         raise BagError(f"bag '{bag.path}': topic {topic} is empty")

@@ -10,6 +10,7 @@ import argparse
 import csv
 import json
 import math
+import reprlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -19,21 +20,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.bag_files import STORAGES, BagWriter, refuse_existing
+from fnn_ekf_ros.bag_files import STORAGES, BagWriter, file_beside, refuse_existing
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.covariance import usable_covariance
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
-from fnn_ekf_ros.parameters.schema import build, default_of
-from fnn_ekf_ros.tools.files import parameter_file_beside, write_text
+from fnn_ekf_ros.parameters.schema import build, default_of, finite_number
+from fnn_ekf_ros.text_files import read_text
 from fnn_ekf_ros.tools.progress import with_progress
 
 TRUTH_COLUMNS = ("gt_x", "gt_y", "gt_theta")
 FIX_COLUMNS = ("fix_x", "fix_y", "fix_theta")
+TICK_TOPICS = (messages.LEFT_TICKS, messages.RIGHT_TICKS)
 COMPASS_COLUMN = "heading_meas"
 COUNTS_PER_REVOLUTION = 1000.0
 """Counts of the equivalent wheel that stands for a given way per tick."""
+GEOMETRY_RANGES = {"wheel_base_m": (1e-3, 100.0), "metres_per_tick": (1e-6, 0.06)}
+"""What a robot can have [m]; within the ranges of the localizer's parameters."""
+LARGEST_TIME_S = 2.0**31 - 100.0
+"""ROS stamps hold no more seconds [s]."""
+LARGEST_COUNT = 1e15
+"""Larger counts are not whole numbers any more in a CSV file."""
 FIRST_STAMP_S = 3.0
 """Recordings that begin at or before 0 are shifted to begin here: ROS time 0 means no time [s]."""
 
@@ -98,9 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    beside = parameter_file_beside(arguments.out)
     refuse_existing(arguments.out)
-    refuse_existing(beside)
     table = read_table(arguments.csv)
     fixes = table if arguments.fixes is None else read_table(arguments.fixes)
     truth_columns = _chosen(table, arguments.truth_columns, TRUTH_COLUMNS, "--truth-columns")
@@ -128,17 +135,15 @@ def run(arguments: argparse.Namespace) -> int:
         *(_fixes(fixes, fix_columns, shift, parameters) if fix_columns else ()),
     ]
     timed.sort(key=lambda entry: (entry.time_ns, entry.order))
+    head = f"Localizer parameters for {arguments.out.name}, imported from {arguments.csv.name}."
+    matching = render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME, head)
     notes = {"source": arguments.csv.name}
-    with BagWriter(arguments.out, arguments.storage, notes) as bag:
+    with BagWriter(arguments.out, arguments.storage, notes, matching) as bag:
         for entry in with_progress(timed, len(timed), "import-csv"):
             bag.write(f"/{entry.topic}", entry.message, entry.time_ns)
-    head = f"Localizer parameters for {arguments.out.name}, imported from {arguments.csv.name}."
-    write_text(
-        beside, render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME, head)
-    )
     counts = Counter(entry.topic for entry in timed)
     listed = ", ".join(f"{count} {topic}" for topic, count in counts.items())
-    print(f"{arguments.out}: {listed}; {beside}: matching localizer parameters")
+    print(f"{arguments.out}: {listed}; {file_beside(arguments.out)}: matching localizer parameters")
     return 0
 
 
@@ -148,39 +153,48 @@ def read_table(path: Path) -> Table:
     Raises:
         CsvError: it cannot be read, has no rows or no `t`, or holds something that is no number.
     """
+    lines = read_text(path, "CSV file", CsvError).splitlines()
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except OSError as error:
-        raise CsvError(f"'{path}': {error.strerror}") from None
-    except (UnicodeDecodeError, csv.Error):
+        rows = list(csv.reader(lines))
+    except csv.Error:
         raise CsvError(f"'{path}' is not a CSV file: expected text with commas") from None
+    while rows and not rows[-1]:
+        rows.pop()  # blank lines at the end
     if len(rows) < 2:
         raise CsvError(f"'{path}' has no data: expected a line of names and lines of numbers")
     names = [name.strip() for name in rows[0]]
-    values = np.empty((len(rows) - 1, len(names)))
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(names):
-            raise CsvError(
-                f"'{path}', line {number}: {len(row)} fields, expected {len(names)} as in line 1"
-            )
-        for index, text in enumerate(row):
-            values[number - 2, index] = _number(path, number, names[index], text)
+    for name, number in Counter(names).items():
+        if number > 1:
+            raise CsvError(f"'{path}', line 1: {number} columns are named '{name}'")
+    values = np.array([_values(path, line, names, row) for line, row in enumerate(rows[1:], 2)])
     table = Table(path, {name: values[:, index] for index, name in enumerate(names)})
-    times = table.column("t")
-    if not np.all(np.isfinite(times)):
-        line = int(np.argmin(np.isfinite(times))) + 2
-        raise CsvError(f"'{path}', line {line}: t is missing, expected a time in seconds")
+    for line, time in enumerate(table.column("t"), start=2):
+        if not abs(time) < LARGEST_TIME_S:
+            raise CsvError(
+                f"'{path}', line {line}: t is {time:g}, expected a time in seconds, less than "
+                f"{LARGEST_TIME_S:g} (is it in milliseconds or nanoseconds?)"
+            )
     return table
+
+
+def _values(path: Path, line: int, names: list[str], row: list[str]) -> list[float]:
+    if len(row) != len(names):
+        raise CsvError(
+            f"'{path}', line {line}: {len(row)} fields, expected {len(names)} as in line 1"
+        )
+    return [_number(path, line, name, text) for name, text in zip(names, row, strict=True)]
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
     if not text.strip():
         return math.nan
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise CsvError(f"'{path}', line {line}: {name} is '{text}', expected a number") from None
+        number = math.inf
+    if math.isinf(number) or "_" in text:
+        raise CsvError(f"'{path}', line {line}: {name} is '{text[:40]}', expected a number")
+    return number
 
 
 def _chosen(
@@ -209,10 +223,8 @@ def _geometry(path: Path | None) -> dict[str, float]:
             "distance between the wheels and the way of a wheel per tick [m]"
         )
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CsvError(f"'{path}': {error.strerror}") from None
-    except (ValueError, UnicodeDecodeError) as error:
+        content = json.loads(read_text(path, "geometry file", CsvError))
+    except (ValueError, RecursionError) as error:
         raise CsvError(f"'{path}' is not JSON: {error}") from None
     if not isinstance(content, dict):
         raise CsvError(f"'{path}': expected an object with wheel_base_m and metres_per_tick")
@@ -226,9 +238,14 @@ def _geometry(path: Path | None) -> dict[str, float]:
 
 def _positive(path: Path, content: dict[str, Any], key: str) -> float:
     value = content.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise CsvError(f"'{path}': {key} is {value!r}, expected a number greater than 0 [m]")
-    return float(value)
+    number = finite_number(value)
+    low, high = GEOMETRY_RANGES[key]
+    if number is None or not low <= number <= high:
+        raise CsvError(
+            f"'{path}': {key} is {reprlib.repr(value)}, expected a number from {low:g} to {high:g} "
+            "[m]"
+        )
+    return number
 
 
 def _encoder_timeout(times: FloatArray) -> float:
@@ -246,9 +263,17 @@ def _ns(time: float, shift: float) -> int:
 
 def _wheels(table: Table, shift: float) -> Iterator[Timed]:
     left, right = table.column("left_ticks"), table.column("right_ticks")
-    for time, *counts in zip(table.column("t"), left, right, strict=True):
+    for name, counts in (("left_ticks", left), ("right_ticks", right)):
+        if not np.any(np.isfinite(counts)):
+            raise CsvError(f"'{table.path}': column {name} is empty, expected cumulative counts")
+        if not np.nanmax(np.abs(counts)) < LARGEST_COUNT:
+            raise CsvError(
+                f"'{table.path}': {name} reaches {np.nanmax(np.abs(counts)):g}, expected less "
+                f"than {LARGEST_COUNT:g} counts"
+            )
+    for time, *readings in zip(table.column("t"), left, right, strict=True):
         stamp_ns = _ns(time, shift)
-        for topic, count in zip((messages.LEFT_TICKS, messages.RIGHT_TICKS), counts, strict=True):
+        for topic, count in zip(TICK_TOPICS, readings, strict=True):
             if math.isfinite(count):
                 wrapped = (round(count) + 2**31) % 2**32 - 2**31
                 yield Timed(stamp_ns, 1, topic, Message(messages.TICKS_TYPE, {"data": wrapped}))
@@ -296,7 +321,7 @@ def _fix_covariance(table: Table, index: int) -> FloatArray:
     if "rho_xy" in table.columns:
         covariance[0, 1] = table.columns["rho_xy"][index] * sigma[0] * sigma[1]
         covariance[1, 0] = covariance[0, 1]
-    return covariance if np.all(np.isfinite(covariance)) else np.zeros((3, 3))
+    return covariance if usable_covariance(covariance) is not None else np.zeros((3, 3))
 
 
 def _compass(

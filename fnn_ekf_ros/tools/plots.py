@@ -15,13 +15,12 @@ RMS_WINDOW_S = 20.0
 """Errors are drawn as their root mean square over so much time before [s]."""
 
 
-def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> None:
+def plot_tracks(path: Path, runs: Mapping[str, tuple[Track, Track]]) -> None:
     """Draw the tracks, and the running RMS of position and heading errors, as a PNG.
 
     Args:
         path: the picture's file.
-        truth: drawn in black.
-        estimates: by name, drawn in the order given.
+        runs: estimate and truth by name, drawn in the order given; truths in black.
 
     Raises:
         FnnEkfError: matplotlib is not installed, or the file cannot be written.
@@ -38,18 +37,24 @@ def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> Non
     position = figure.add_subplot(grid[0, 1])
     heading = figure.add_subplot(grid[1, 1], sharex=position)
 
-    span = np.concatenate([truth.pose[:, :2], *(e.pose[:, :2] for e in _near(truth, estimates))])
-    begin_ns = truth.time_ns[0]
-    tracks.plot(truth.pose[:, 0], truth.pose[:, 1], color="black", lw=2.5, label="ground truth")
-    for index, (name, estimate) in enumerate(estimates.items()):
-        style: dict[str, Any] = {"color": f"C{index}", "lw": 1.2, "label": name}
+    truths = {id(truth): truth for _, truth in runs.values()}
+    for index, truth in enumerate(truths.values()):
+        label = "_ground truth" if index else "ground truth"  # one entry in the legend
+        tracks.plot(truth.pose[:, 0], truth.pose[:, 1], color="black", lw=2.5, label=label)
+    span = np.concatenate([truth.pose[:, :2] for truth in truths.values()])
+    size, centre = np.max(np.ptp(span, axis=0)), np.mean(span, axis=0)
+    for index, (name, (estimate, truth)) in enumerate(runs.items()):
+        style: dict[str, Any] = {"color": f"C{index}", "lw": 1.2, "label": name.replace("$", r"\$")}
         tracks.plot(estimate.pose[:, 0], estimate.pose[:, 1], **style)
         error = estimate.pose - interpolate(truth, estimate.time_ns)
-        seconds = (estimate.time_ns - begin_ns) * 1e-9
+        seconds = (estimate.time_ns - truth.time_ns[0]) * 1e-9
         distance = np.hypot(error[:, 0], error[:, 1])
         position.plot(seconds, _running_rms(distance, seconds), **style)
         turn = np.degrees(wrap_angle(error[:, 2]))
         heading.plot(seconds, _running_rms(turn, seconds), **style)
+        # A run that leaves the picture for good must not shrink the rest.
+        if np.all(np.abs(estimate.pose[:, :2] - centre) < 1.5 * size):
+            span = np.concatenate([span, estimate.pose[:, :2]])
     margin = 0.08 * np.max(np.ptp(span, axis=0))
     low, high = np.min(span, axis=0) - margin, np.max(span, axis=0) + margin
     tracks.set(
@@ -64,8 +69,8 @@ def plot_tracks(path: Path, truth: Track, estimates: Mapping[str, Track]) -> Non
         axes.grid(visible=True, which="both", alpha=0.25)
     try:
         figure.savefig(path, dpi=110, metadata={"Software": None})
-    except OSError as error:
-        raise FnnEkfError(f"'{path}' cannot be written: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        raise FnnEkfError(f"'{path}' cannot be written: {error}") from None
 
 
 def _running_rms(error: FloatArray, seconds: FloatArray) -> FloatArray:
@@ -78,10 +83,3 @@ def _running_rms(error: FloatArray, seconds: FloatArray) -> FloatArray:
     number = counts[after] - counts[first]
     mean = (sums[after] - sums[first]) / np.maximum(number, 1)
     return np.where(number > 0, np.sqrt(mean), np.nan)
-
-
-def _near(truth: Track, estimates: Mapping[str, Track]) -> list[Track]:
-    """Return the estimates that do not run so far away that they would shrink the rest."""
-    size = np.max(np.ptp(truth.pose[:, :2], axis=0))
-    centre = np.mean(truth.pose[:, :2], axis=0)
-    return [e for e in estimates.values() if np.all(np.abs(e.pose[:, :2] - centre) < 1.5 * size)]

@@ -1,12 +1,14 @@
 """`replay IN OUT`: the localizer's own pipeline over a recording, bag in, bag out."""
 
 import argparse
+import re
+import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.bag_files import STORAGES, BagError, BagReader, BagWriter, Record
+from fnn_ekf_ros.bag_files import STORAGES, BagError, BagReader, BagWriter, Record, Topic
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.parameters.files import render_parameter_file
@@ -16,6 +18,9 @@ from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix, Rejected
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.progress import with_progress
+
+_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+"""A topic's name as ROS allows it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,27 +47,25 @@ def run(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
         inputs = _inputs_in(bag, parameters, names)
-        outputs = {names.of(topic) for topic in (messages.ODOM, messages.NOISE)}
-        outputs.add(messages.DIAGNOSTICS)
+        replaced = {names.of(topic) for topic in (messages.ODOM, messages.NOISE)}
+        names.check(replaced, set(inputs))
+        for topic in replaced & bag.topics.keys():
+            print(f"replay: {topic} of {arguments.bag} is left out: OUT has the new one there")
         notes = {
             NODE_NAME: render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME)
         }
         with BagWriter(arguments.out, arguments.storage, notes) as out:
-            for topic in bag.topics.values():
-                if topic.name not in outputs:
-                    out.add_topic(topic)
+            copied = _announce(out, [t for t in bag.topics.values() if t.name not in replaced])
             pipeline = Pipeline(parameters, network)
-            filter_ = _DeadReckoning() if arguments.dead_reckoning else None
+            dead_reckoning = _DeadReckoning() if arguments.dead_reckoning else None
             estimates = 0
-            records = with_progress(bag.records(), bag.message_count, "replay")
-            for record in records:
-                if record.topic in outputs:
-                    continue
-                out.write_raw(record)
-                if record.topic not in inputs:
-                    closed = pipeline.advance(record.time_ns)
-                else:
-                    closed = _feed(pipeline, bag, record, inputs[record.topic], filter_)
+            for record in with_progress(bag.records(), bag.message_count, "replay"):
+                if record.topic in copied and not _is_own_diagnostics(bag, record):
+                    out.write_raw(record)
+                closed = []
+                if record.topic in inputs:
+                    closed = _feed(pipeline, bag, record, inputs[record.topic], dead_reckoning)
+                closed += pipeline.advance(record.time_ns)
                 for output in closed:
                     estimates += _write(out, names, output, record.time_ns, parameters)
             if not estimates:
@@ -83,17 +86,33 @@ class _Names:
     """Topic names of the localizer, remapped."""
 
     def __init__(self, remappings: list[str]) -> None:
+        known = {
+            messages.absolute_name(topic): topic
+            for topic in (*messages.INPUT_TYPES, messages.ODOM, f"~/{messages.NOISE}")
+        }
         self._to: dict[str, str] = {}
         for text in remappings:
             source, separator, target = text.partition(":=")
-            if not (separator and source and target):
-                raise FnnEkfError(f"-r {text}: expected FROM:=TO")
-            self._to[_absolute(source)] = _absolute(target)
+            if not (separator and _NAME.fullmatch(target)):
+                raise FnnEkfError(f"-r {text}: expected FROM:=TO, TO a topic's name")
+            if messages.absolute_name(source) not in known:
+                raise FnnEkfError(f"-r {text}: expected one of {', '.join(known.values())}")
+            self._to[messages.absolute_name(source)] = messages.absolute_name(target)
 
     def of(self, topic: str) -> str:
         """Return the absolute name of one of the localizer's topics."""
-        name = f"/{NODE_NAME}/{topic}" if topic == messages.NOISE else _absolute(topic)
+        own = f"~/{topic}" if topic == messages.NOISE else topic
+        name = messages.absolute_name(own)
         return self._to.get(name, name)
+
+    def check(self, outputs: set[str], inputs: set[str]) -> None:
+        """Check that no two topics share a name.
+
+        Raises:
+            FnnEkfError: remappings put one onto another.
+        """
+        if len(outputs) < 2 or outputs & {*inputs, messages.DIAGNOSTICS}:
+            raise FnnEkfError(f"-r: {', '.join(sorted(outputs))} would share a name with another")
 
 
 class _DeadReckoning:
@@ -106,8 +125,23 @@ class _DeadReckoning:
         return self.started and isinstance(event, CompassYaw | PoseFix)
 
 
-def _absolute(topic: str) -> str:
-    return topic if topic.startswith("/") else f"/{topic}"
+def _announce(out: BagWriter, topics: list[Topic]) -> set[str]:
+    """Announce the topics that OUT is to have copies of; return their names."""
+    copied = set()
+    for topic in topics:
+        try:
+            out.add_topic(topic)
+            copied.add(topic.name)
+        except BagError as error:
+            print(f"replay: left out: {error}", file=sys.stderr)
+    return copied
+
+
+def _is_own_diagnostics(bag: BagReader, record: Record) -> bool:
+    """Return whether a record is what a localizer said when the bag was recorded."""
+    if record.topic != messages.DIAGNOSTICS or record.type_name != messages.DIAGNOSTICS_TYPE:
+        return False
+    return any(status.hardware_id == NODE_NAME for status in bag.message(record).status)
 
 
 def _inputs_in(bag: BagReader, parameters: LocalizerParameters, names: _Names) -> dict[str, str]:
@@ -141,7 +175,7 @@ def _feed(
     events = messages.read_input(topic, bag.message(record), record.time_ns, pipeline.parameters)
     if isinstance(events, Rejected):
         pipeline.reject(events)
-        return pipeline.advance(record.time_ns)
+        return []
     closed: list[Output] = []
     for event in events:
         if dead_reckoning is None or not dead_reckoning.blocks(event):

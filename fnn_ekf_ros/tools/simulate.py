@@ -6,20 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fnn_ekf_ros.bag_files import STORAGES, BagWriter, refuse_existing
+from fnn_ekf_ros.bag_files import STORAGES, BagWriter, file_beside
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.parameters.fake_robot import (
-    NODE_NAME,
-    FakeRobotParameters,
-    build_fake_robot,
-)
+from fnn_ekf_ros.parameters.fake_robot import NODE_NAME, FakeRobotParameters
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.parameters.schema import default_of
+from fnn_ekf_ros.parameters.schema import build, default_of
 from fnn_ekf_ros.simulation.fake_robot import STEP_NS, FakeRobot
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
-from fnn_ekf_ros.tools.files import parameter_file_beside, write_text
 from fnn_ekf_ros.tools.progress import with_progress
 
 START_NS = 3 * 10**9
@@ -42,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    parameters = build_fake_robot(given_parameters(arguments, NODE_NAME))
+    parameters = build(FakeRobotParameters, given_parameters(arguments, NODE_NAME))
     if not STEP_NS * 1e-9 <= arguments.duration <= 1e6:
         raise FnnEkfError(
             f"--duration {arguments.duration:g}: expected {STEP_NS * 1e-9:g} to 1e6 seconds"
@@ -50,29 +45,30 @@ def run(arguments: argparse.Namespace) -> int:
     if parameters.path == "cmd_vel":
         raise FnnEkfError("path 'cmd_vel': simulate has no cmd_vel to listen to; choose a path")
     steps = round(arguments.duration * 1e9) // STEP_NS
-    beside = parameter_file_beside(arguments.out)
-    refuse_existing(beside)
     text = render_parameter_file(FakeRobotParameters, asdict(parameters), NODE_NAME)
+    head = f"Geometry and true noise of the robot in {arguments.out.name}."
+    matching = render_parameter_file(
+        LocalizerParameters, asdict(matching_localizer(parameters)), LOCALIZER, head
+    )
     robot = FakeRobot(parameters, START_NS)
-    with BagWriter(arguments.out, arguments.storage, {NODE_NAME: text}) as bag:
+    with BagWriter(arguments.out, arguments.storage, {NODE_NAME: text}, matching) as bag:
         for _ in with_progress(range(steps), steps, "simulate"):
             for sent in robot.step():
                 bag.write(f"/{sent.topic}", sent.message, robot.stamp_ns)
-    head = f"Geometry and true noise of the robot in {arguments.out.name}."
-    matching = asdict(matching_localizer(parameters))
-    write_text(beside, render_parameter_file(LocalizerParameters, matching, LOCALIZER, head))
     print(
         f"{arguments.out}: {arguments.duration:g} s of path '{parameters.path}', seed "
-        f"{parameters.seed}; {beside}: matching localizer parameters"
+        f"{parameters.seed}; {file_beside(arguments.out)}: matching localizer parameters"
     )
     return 0
 
 
 def matching_localizer(robot: FakeRobotParameters) -> LocalizerParameters:
     """Return localizer parameters with the fake robot's geometry and its true noise."""
-    smallest = default_of(LocalizerParameters, "measurement_noise_std_min")
-    lrf_x, lrf_y, lrf_yaw = np.maximum(robot.lrf_std, smallest)
-    forward, turn = robot.slip_std
+    low, high = (
+        default_of(LocalizerParameters, f"measurement_noise_std_{end}") for end in ("min", "max")
+    )
+    lrf_x, lrf_y, lrf_yaw = np.clip(robot.lrf_std, low, high)
+    forward, turn = np.maximum(robot.slip(), SMALLEST_SLIP)
     return LocalizerParameters(
         wheel_radius=robot.wheel_radius,
         wheel_separation=robot.wheel_separation,
@@ -81,8 +77,12 @@ def matching_localizer(robot: FakeRobotParameters) -> LocalizerParameters:
         encoder_bits=robot.encoder_bits,
         left_joint=robot.left_joint,
         right_joint=robot.right_joint,
-        process_noise_std=(max(forward, SMALLEST_SLIP), max(turn, SMALLEST_SLIP)),
-        measurement_noise_std=(float(lrf_x), float(lrf_y), max(robot.compass_std, smallest[2])),
+        process_noise_std=(float(forward), float(turn)),
+        measurement_noise_std=(
+            float(lrf_x),
+            float(lrf_y),
+            float(np.clip(robot.compass_std, low[2], high[2])),
+        ),
         lrf_yaw_std=float(lrf_yaw),
         frame_id=robot.frame_id,
         base_frame=robot.base_frame,

@@ -14,7 +14,7 @@ from fnn_ekf_ros.cli import run_command
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.messages import Message
-from fnn_ekf_ros.parameters.fake_robot import build_fake_robot
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Event, Output, Rejected
@@ -111,7 +111,7 @@ def simulated(make_parameters: Callable[..., LocalizerParameters]) -> Callable[.
     def simulate(seed: int, seconds: float, source: str = "ticks", **robot: Any) -> Run:
         listening = make_parameters(encoder_source=source)
         topics = messages.input_topics(listening)
-        fake = FakeRobot(build_fake_robot({"seed": seed, **robot}), START_NS)
+        fake = FakeRobot(build(FakeRobotParameters, {"seed": seed, **robot}), START_NS)
         arrivals: list[Arrival] = []
         truth: dict[int, FloatArray] = {}
         while fake.stamp_ns < START_NS + seconds * 1e9:

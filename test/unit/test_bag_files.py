@@ -177,9 +177,7 @@ def test_the_bag_appears_when_it_is_complete(tmp_path: Path, storage: str) -> No
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, BagError])
-def test_an_error_leaves_nothing(
-    tmp_path: Path, storage: str, error: type[BaseException]
-) -> None:
+def test_an_error_leaves_nothing(tmp_path: Path, storage: str, error: type[BaseException]) -> None:
     def break_off() -> None:
         with BagWriter(tmp_path / "bag", storage) as bag:
             for topic, message in sample(0):
@@ -226,7 +224,6 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         BagWriter(tmp_path / "file" / "bag")
 
 
-@pytest.mark.xfail(strict=True, reason="the operating system's refusal of the name comes through")
 def test_a_name_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError):
         BagWriter(tmp_path / ("x" * 300))
@@ -324,7 +321,6 @@ def test_a_topic_of_two_types_is_refused(tmp_path: Path, storage: str) -> None:
     gc.collect()
 
 
-@pytest.mark.xfail(strict=True, reason="a recording that is refused for its types stays open")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_refused_recording_is_closed(tmp_path: Path) -> None:
     write_two_types(tmp_path / "bag", "mcap")

@@ -42,11 +42,11 @@ def test_a_users_copy_is_the_same(tmp_path: Path) -> None:
     ("old", "new", "words"),
     [
         ("version: 1", "version: 2", "has version 2: expected 1"),
-        ("version: 1", "", "has version None"),
+        ("version: 1", "", "has no version"),
         ("zero_width: 0.0620", "zero_width: 0.0", "zero_width is 0: expected more than 0"),
-        ("zero_width: 0.0620", "zero_width: wide", "zero_width is 'wide': expected a finite"),
-        ("zero_width: 0.0620", "zero_width: .nan", "zero_width is nan: expected a finite"),
-        ("zero_width: 0.0620", "zero_width: true", "zero_width is True: expected a finite"),
+        ("zero_width: 0.0620", "zero_width: wide", "zero_width is 'wide': expected a number"),
+        ("zero_width: 0.0620", "zero_width: .nan", "zero_width is nan: expected a number"),
+        ("zero_width: 0.0620", "zero_width: true", "zero_width is True: expected a number"),
         ("zero_width: 0.0620", "", "lacks zero_width"),
         ("zero_width: 0.0620", "zero_wide: 0.0620", "lacks zero_width"),
         ("yaw_unit: 1.0e-6", "yaw_unit: 1.0e-6\nunit: 1", "has unknown unit"),
@@ -74,13 +74,13 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     (tmp_path / "binary").write_bytes(b"\xff\xfe")
     for path, words in (
         (tmp_path / "missing", "No such file"),
-        (tmp_path, "Is a directory"),
-        (tmp_path / "binary", "not a text file"),
+        (tmp_path, "is no file"),
+        (tmp_path / "binary", "text"),
     ):
         with pytest.raises(MembershipError, match=words) as caught:
             read_membership(str(path))
         assert "initial, published" in str(caught.value)
     for content in ("", "- 1", "words"):
         (tmp_path / "odd").write_text(content)
-        with pytest.raises(MembershipError, match="has version None"):
+        with pytest.raises(MembershipError, match="version"):
             read_membership(str(tmp_path / "odd"))

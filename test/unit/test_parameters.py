@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters, build_fake_robot
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, build, fields_of
 
@@ -65,8 +65,6 @@ def bad_values(spec: Any, default: Any) -> list[Any]:
 def outside(spec: Any) -> list[float]:
     """Return the numbers just outside of a range."""
     numbers = []
-    if spec.above > -math.inf:
-        numbers += [spec.above, spec.above - 1.0]
     if spec.at_least > -math.inf:
         numbers += [spec.at_least - max(1e-9, 1e-9 * abs(spec.at_least)), spec.at_least - 1.0]
     if spec.at_most < math.inf:
@@ -76,8 +74,7 @@ def outside(spec: Any) -> list[float]:
 
 def inside(spec: Any) -> list[float]:
     """Return the ends of a range."""
-    low = [math.nextafter(spec.above, math.inf)] if spec.above > -math.inf else []
-    low += [spec.at_least] if spec.at_least > -math.inf else []
+    low = [spec.at_least] if spec.at_least > -math.inf else []
     return low + ([spec.at_most] if spec.at_most < math.inf else [])
 
 
@@ -107,7 +104,7 @@ def test_defaults_are_the_papers() -> None:
     robot = FakeRobotParameters()
     assert (robot.wheel_radius, robot.wheel_separation) == (0.025, 0.6)
     assert (robot.gear_ratio, robot.encoder_counts_per_revolution) == (1.0, 500.0)
-    assert robot.slip_std == (0.05, math.radians(3.0))
+    assert robot.slip() == (0.05, math.radians(3.0))
     assert robot.wheel_speed_error == 0.05
 
 
@@ -172,7 +169,7 @@ def test_integers_count_as_floats_and_whole_floats_as_integers(
     kind: type[Parameters], needed: dict[str, Any], name: str, spec: Any, default: Any
 ) -> None:
     if is_kind(default, "number"):
-        whole = int(max(spec.above, spec.at_least, 0)) + 1
+        whole = int(max(spec.at_least, 0)) + 1
         if whole <= spec.at_most:
             made = getattr(build(kind, needed | {name: whole}), name)
             assert (made, type(made)) == (whole, float)
@@ -210,7 +207,7 @@ def test_unset_geometry_is_called_unset(name: str) -> None:
     without = {key: value for key, value in GEOMETRY.items() if key != name}
     for values in (without, without | {name: 0}, without | {name: 0.0}):
         line = refused(LocalizerParameters, values)
-        assert line.startswith(f"parameter '{name}' is not set: expected a number greater than 0")
+        assert line.startswith(f"parameter '{name}' is not set: expected a number ")
 
 
 def test_joint_states_need_no_counts_per_revolution() -> None:
@@ -228,13 +225,13 @@ def test_a_bare_off_is_explained(name: str) -> None:
 @pytest.mark.parametrize(
     ("values", "name"),
     [
-        ({"process_noise_std": [1e-5, 0.1]}, "process_noise_std"),
+        ({"process_noise_std": [0.05, 0.1], "process_noise_std_min": [0.1, 0.1]}, "process_noise_std"),
         ({"process_noise_std": [0.1, 4.0]}, "process_noise_std"),
         ({"measurement_noise_std": [0.1, 0.1, 1e-4]}, "measurement_noise_std"),
         ({"measurement_noise_std_max": [0.05, 0.2, 0.2]}, "measurement_noise_std"),
         ({"process_noise_std_min": [0.06, 0.01]}, "process_noise_std"),
         ({"lrf_yaw_std": 5.0}, "lrf_yaw_std"),
-        ({"lrf_yaw_std": 1e-5}, "lrf_yaw_std"),
+        ({"lrf_yaw_std": 5e-4}, "lrf_yaw_std"),
     ],
 )
 def test_noise_must_start_within_its_bounds(values: dict[str, Any], name: str) -> None:
@@ -256,12 +253,12 @@ def test_parameters_cannot_be_changed() -> None:
 
 
 def test_path_sim1_brings_its_own_slip_unless_slip_is_given() -> None:
-    assert build_fake_robot({"path": "sim1"}).slip_std == (0.02, math.radians(1.0))
-    assert build_fake_robot({"path": "sim2"}).slip_std == (0.05, math.radians(3.0))
-    assert build_fake_robot({"path": "sim1", "slip_std": [0.3, 0.2]}).slip_std == (0.3, 0.2)
+    assert build(FakeRobotParameters, {"path": "sim1"}).slip() == (0.02, math.radians(1.0))
+    assert build(FakeRobotParameters, {"path": "sim2"}).slip() == (0.05, math.radians(3.0))
+    assert build(FakeRobotParameters, {"path": "sim1", "slip_std": [0.3, 0.2]}).slip() == (0.3, 0.2)
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(derandomize=True, deadline=None, max_examples=80)
 @given(
     name=st.sampled_from([name for name, _, _ in fields_of(LocalizerParameters)]),
     value=st.recursive(

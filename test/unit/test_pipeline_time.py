@@ -162,7 +162,7 @@ def test_what_comes_later_than_history_is_dropped_and_counted(
     reports = [s for o in outputs if o.health for s in o.health if s.name == "time"]
     warnings = [s for s in reports if s.level is Level.WARN]
     assert len(warnings) == 1
-    assert "more than history" in warnings[0].message
+    assert "late by 3.0" in warnings[0].message
 
 
 def test_what_is_stamped_far_ahead_is_dropped_and_counted(make_pipeline: MakePipeline) -> None:
@@ -176,7 +176,6 @@ def test_what_is_stamped_far_ahead_is_dropped_and_counted(make_pipeline: MakePip
     assert (value_of(status, "dropped"), status.level) == ("1", Level.OK)
 
 
-@pytest.mark.xfail(strict=True, reason="the first event is believed however old its stamp is")
 def test_a_first_event_that_is_too_old_is_dropped(make_pipeline: MakePipeline) -> None:
     """A driver that does not stamp sends time 0; filling the time since then takes for ever."""
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
@@ -184,7 +183,6 @@ def test_a_first_event_that_is_too_old_is_dropped(make_pipeline: MakePipeline) -
     assert value_of(status_of(pipeline, "time"), "dropped") == "1"
 
 
-@pytest.mark.xfail(strict=True, reason="an event before the first period is taken in, but not used")
 def test_an_event_before_the_first_period_is_not_called_received(
     make_pipeline: MakePipeline,
 ) -> None:
@@ -199,7 +197,6 @@ def test_an_event_before_the_first_period_is_not_called_received(
     assert used or value_of(status_of(pipeline, "time"), "dropped") == "1"
 
 
-@pytest.mark.xfail(strict=True, reason="late by exactly history: neither fused nor dropped")
 def test_a_measurement_as_old_as_history_is_used_or_counted(make_pipeline: MakePipeline) -> None:
     pipeline = make_pipeline(period=0.5, history=2.0, initial_pose=[0.0, 0.0, 0.0])
     outputs: list[Output] = []
@@ -242,7 +239,6 @@ def test_the_order_of_events_inside_a_period_does_not_matter(
     same_estimates(outputs, ordered[: len(outputs)])
 
 
-@pytest.mark.xfail(strict=True, reason="counts are relative to the first to come, not the earliest")
 def test_the_order_of_the_very_first_counts_does_not_matter(
     make_pipeline: MakePipeline, same_estimates: Same
 ) -> None:
@@ -282,7 +278,7 @@ def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(
     assert outputs[0].estimate is None  # pose and inputs are forgotten: it waits as at the start
     assert len(outputs) <= len(arrivals)
     assert {o.stamp_ns % PERIOD_NS for o in outputs} == {0}
-    assert min(o.stamp_ns for o in outputs) >= again[0].now_ns
+    assert min(o.stamp_ns for o in outputs) > again[0].now_ns - 2_400_000_000
     first = next(o.estimate for o in outputs if o.estimate is not None)
     np.testing.assert_array_equal(np.diag(first.state.covariance), adapted[:3])
     np.testing.assert_array_equal(first.state.measurement_noise, adapted)
@@ -292,7 +288,6 @@ def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(
     assert value_of(status, "restarts") == "1"
 
 
-@pytest.mark.xfail(strict=True, reason="a second jump before any event brings the first noise back")
 def test_a_clock_that_jumps_twice_keeps_the_adapted_noise(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any
 ) -> None:

@@ -119,7 +119,7 @@ def test_simulate_writes_what_a_localizer_needs(tmp_path: Path, succeed: Succeed
     [
         (["-p", "sede:=1"], "unknown parameter 'sede': did you mean 'seed'?"),
         (["-p", "seed:=one"], "parameter 'seed' is 'one': expected a whole number"),
-        (["-p", "speed:=-1"], "parameter 'speed' is -1: expected a number greater than 0"),
+        (["-p", "speed:=-1"], "parameter 'speed' is -1: expected a number from "),
         (["-p", "path:=off"], "parameter 'path' is False: expected one of square, "),
         (["-p", "path:=cmd_vel"], "simulate has no cmd_vel"),
         (["-p", "slip_std:=[1]"], "parameter 'slip_std' is [1]: expected a list of 2 numbers"),
@@ -130,9 +130,7 @@ def test_simulate_writes_what_a_localizer_needs(tmp_path: Path, succeed: Succeed
         (["--params", "missing.yaml"], "parameter file 'missing.yaml': No such file"),
     ],
 )
-def test_simulate_refuses(
-    tmp_path: Path, refuse: Refuse, words: list[str], expected: str
-) -> None:
+def test_simulate_refuses(tmp_path: Path, refuse: Refuse, words: list[str], expected: str) -> None:
     assert expected in refuse("simulate", tmp_path / "bag", *words)
 
 
@@ -292,7 +290,6 @@ def test_time_passes_in_a_replay_with_whatever_is_recorded(
     assert messages.stamp_ns(last) > end_ns - 900_000_000
 
 
-@pytest.mark.xfail(strict=True, reason="a message that holds nothing does not let time pass")
 def test_time_passes_in_a_replay_with_messages_that_hold_nothing(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
@@ -348,7 +345,7 @@ def test_replay_of_wheels_only_starts_and_then_drifts(
         (["-p", "adaption:=r"], "unknown parameter 'adaption': did you mean 'adaptation'?"),
         (["-p", "adaptation:=off"], "(a bare off, no, on or yes is a truth value in YAML)"),
         (["-p", "period:=fast"], "parameter 'period' is 'fast': expected a number"),
-        (["-p", "period:=1e-3"], "parameter 'period' is 0.001: expected a number at least 0.01"),
+        (["-p", "period:=1e-3"], "parameter 'period' is 0.001: expected a number from 0.01"),
         (["-p", "process_noise_std:=[0.1]"], "expected a list of 2 numbers [m, rad]"),
         (["-p", "measurement_noise_std:=[.nan, 1, 1]"], "parameter 'measurement_noise_std'"),
         (["-p", "wheel_radius:=0.0"], "parameter 'wheel_radius' is not set"),
@@ -419,7 +416,6 @@ def test_replay_overwrites_nothing(tmp_path: Path, recorded: Path, refuse: Refus
     assert "does not exist" in refuse("replay", recorded, tmp_path / "no" / "out", *words)
 
 
-@pytest.mark.xfail(strict=True, reason="types that ROS 2 Jazzy does not have end in a traceback")
 def test_replay_copies_topics_of_types_it_does_not_know(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
@@ -446,9 +442,7 @@ def test_replay_copies_topics_of_types_it_does_not_know(
 # --- simulate, replay, evaluate ------------------------------------------------------------------
 
 
-def test_simulate_replay_evaluate(
-    tmp_path: Path, recorded: Path, succeed: Succeed
-) -> None:
+def test_simulate_replay_evaluate(tmp_path: Path, recorded: Path, succeed: Succeed) -> None:
     words = ["--params", parameters_of(recorded)]
     succeed("replay", recorded, tmp_path / "ekf", *words)
     succeed("replay", recorded, tmp_path / "wheels", *words, "--dead-reckoning")
@@ -515,9 +509,7 @@ def test_evaluate_refuses(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_evaluate_truth_against_itself_is_without_error(
-    recorded: Path, succeed: Succeed
-) -> None:
+def test_evaluate_truth_against_itself_is_without_error(recorded: Path, succeed: Succeed) -> None:
     said = succeed("evaluate", recorded, "--odom-topic", "/ground_truth", "--labels", "truth")
     assert table_rows(said)["truth"][1:] == ["0.0000", "0.0000", "0.0000", "0.0000", "n/a"]
 
@@ -535,14 +527,12 @@ def test_evaluate_of_bags_without_common_time(tmp_path: Path, refuse: Refuse) ->
     assert "have no time in common" in refuse("evaluate", tmp_path / "bag")
 
 
-@pytest.mark.xfail(strict=True, reason="runs of the same label are one line in the table")
 def test_runs_of_the_same_name_are_all_shown(recorded: Path, run: Callable[..., Any]) -> None:
     words = ["--odom-topic", "/ground_truth"]
     ran = run("evaluate", recorded, recorded, *words)
     assert ran.code == 1 or len(ran.out.splitlines()) == 4
 
 
-@pytest.mark.xfail(strict=True, reason="an odom that is not a number passes for one without truth")
 def test_an_odom_that_is_no_number_is_not_passed_over(
     tmp_path: Path, run: Callable[..., Any]
 ) -> None:
@@ -577,9 +567,7 @@ def test_an_exact_arc_imported_replayed_and_evaluated(tmp_path: Path, succeed: S
     for part in ("801 left_ticks", "801 right_ticks", "161 lrf_pose", "267 compass",
                  "801 ground_truth"):  # fmt: skip
         assert part in said
-    parameters = build(
-        LocalizerParameters, read_parameter_file(tmp_path / "bag.yaml", "localizer")
-    )
+    parameters = build(LocalizerParameters, read_parameter_file(tmp_path / "bag.yaml", "localizer"))
     assert parameters.wheel_separation == 0.5
     way = 2.0 * math.pi * parameters.wheel_radius / parameters.encoder_counts_per_revolution
     assert way == pytest.approx(1e-5)
@@ -678,8 +666,8 @@ CSV = "t,left_ticks,right_ticks\n1,0,0\n2,1,1\n"
         ("time,left_ticks,right_ticks\n1,0,0\n", "has no column 't'"),
         ("t,left_ticks,right_ticks\n1,0,0\n2,one,1\n", "line 3: left_ticks is 'one', expected a"),
         ("t,left_ticks,right_ticks\n1,0,0\n2,1\n", "line 3: 2 fields, expected 3"),
-        ("t,left_ticks,right_ticks\n1,0,0\n,1,1\n", "line 3: t is missing"),
-        ("t,left_ticks,right_ticks\n1,0,0\ninf,1,1\n", "line 3: t is missing"),
+        ("t,left_ticks,right_ticks\n1,0,0\n,1,1\n", "line 3: t is "),
+        ("t,left_ticks,right_ticks\n1,0,0\ninf,1,1\n", "line 3: t is 'inf'"),
         ("t,left_ticks,right_ticks,gt_x\n1,0,0,0\n", "has no column 'gt_y'"),
         ("t,left_ticks,right_ticks,fix_y\n1,0,0,0\n", "has no column 'fix_x'"),
     ],
@@ -698,12 +686,12 @@ def test_import_refuses_tables(tmp_path: Path, refuse: Refuse, text: str, expect
         ("", "is not JSON"),
         ("{", "is not JSON"),
         ("[1]", "expected an object"),
-        ('{"metres_per_tick": 0.1}', "wheel_base_m is None, expected a number greater than 0"),
+        ('{"metres_per_tick": 0.1}', "wheel_base_m is None, expected a number"),
         ('{"wheel_base_m": "0.5", "metres_per_tick": 0.1}', "wheel_base_m is '0.5'"),
         ('{"wheel_base_m": true, "metres_per_tick": 0.1}', "wheel_base_m is True"),
         ('{"wheel_base_m": 0.5, "metres_per_tick": 0}', "metres_per_tick is 0,"),
         ('{"wheel_base_m": 0.5, "metres_per_tick": NaN}', "metres_per_tick is nan"),
-        ('{"wheel_base_m": 5000, "metres_per_tick": 1e-3}', "parameter 'wheel_separation' is"),
+        ('{"wheel_base_m": 5000, "metres_per_tick": 1e-3}', "wheel_base_m is 5000, expected"),
     ],
 )
 def test_import_refuses_geometries(
@@ -750,7 +738,6 @@ def test_import_overwrites_nothing(tmp_path: Path, refuse: Refuse) -> None:
     assert "No such file" in refuse("import-csv", tmp_path / "no.csv", tmp_path / "new")
 
 
-@pytest.mark.xfail(strict=True, reason="times in nanoseconds overflow the stamp with a traceback")
 def test_import_refuses_times_that_are_no_seconds(tmp_path: Path, refuse: Refuse) -> None:
     (tmp_path / "table.csv").write_text("t,left_ticks,right_ticks\n1.5e18,0,0\n1.6e18,1,1\n")
     (tmp_path / "geometry.json").write_text(json.dumps(ARC_GEOMETRY))
@@ -760,7 +747,6 @@ def test_import_refuses_times_that_are_no_seconds(tmp_path: Path, refuse: Refuse
     )  # fmt: skip
 
 
-@pytest.mark.xfail(strict=True, reason="a blank line counts as one with 0 fields")
 def test_a_blank_line_at_the_end_does_no_harm(tmp_path: Path, succeed: Succeed) -> None:
     (tmp_path / "table.csv").write_text(CSV + "\n")
     (tmp_path / "geometry.json").write_text(json.dumps(ARC_GEOMETRY))

@@ -1,0 +1,46 @@
+"""What makes a covariance one that can be used."""
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray, symmetrize
+from fnn_ekf_ros.core.limits import (
+    LARGEST_POSE_STD,
+    LARGEST_STD,
+    SMALLEST_CORRELATION_EIGENVALUE,
+    SMALLEST_STD,
+)
+
+_ASYMMETRY = 1e-6
+
+
+def usable_covariance(matrix: FloatArray) -> FloatArray | None:
+    """Return a covariance `(n, n)` from outside made exactly symmetric; None if it is none.
+
+    It must be finite, symmetric but for rounding, with standard deviations from `SMALLEST_STD`
+    to `LARGEST_STD`, and positive definite by a margin, whatever the units of its entries.
+    """
+    variances = np.diagonal(matrix)
+    if not np.all(np.isfinite(matrix)) or not np.all(
+        (variances >= SMALLEST_STD**2) & (variances <= LARGEST_STD**2)
+    ):
+        return None
+    std = np.sqrt(variances)
+    correlation = matrix / std[:, None] / std[None, :]
+    if np.max(np.abs(correlation - correlation.T)) > _ASYMMETRY:
+        return None
+    if np.linalg.eigvalsh(symmetrize(correlation))[0] < SMALLEST_CORRELATION_EIGENVALUE:
+        return None
+    return symmetrize(matrix)
+
+
+def limit_uncertainty(covariance: FloatArray) -> FloatArray:
+    """Return covariances `(..., 3, 3)` scaled back where a pose is as good as lost.
+
+    Beyond `LARGEST_POSE_STD` a fix that is good to a tenth of a millimetre would no longer
+    leave a positive definite covariance in double precision. Correlations are kept.
+    """
+    std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    if np.all(std <= LARGEST_POSE_STD):
+        return covariance
+    scale = np.minimum(1.0, np.asarray(LARGEST_POSE_STD) / std)
+    return np.asarray(covariance * scale[..., :, None] * scale[..., None, :], dtype=np.float64)

@@ -1,0 +1,25 @@
+"""Signals: a node stops between two messages, a command leaves nothing behind."""
+
+import signal
+import sys
+import threading
+from types import FrameType
+
+STOPPED = threading.Event()
+"""Set by SIGINT and SIGTERM after `stop_by_signal`."""
+
+
+def stop_by_signal() -> None:
+    """Let SIGINT and SIGTERM set `STOPPED`, from the first moment on."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: STOPPED.set())
+
+
+def exit_by_signal() -> None:
+    """Let SIGTERM and SIGHUP end the process the way SIGINT does, with all that is cleaned up."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _exit)
+
+
+def _exit(number: int, _: FrameType | None) -> None:
+    sys.exit(128 + number)

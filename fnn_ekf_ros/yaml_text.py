@@ -1,0 +1,44 @@
+"""Reading of YAML as ROS reads it; the only place that parses YAML."""
+
+import re
+from typing import Any
+
+import yaml
+
+from fnn_ekf_ros.errors import FnnEkfError
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads 1e-3 (without a point) as a number, as ROS does and YAML 1.1 does not."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases (*name) are not supported, as in ROS")
+        return super().compose_node(parent, index)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
+
+
+def load_yaml(text: str, what: str, kind: type[FnnEkfError]) -> Any:
+    """Return the content of a YAML text.
+
+    Args:
+        text: a single document.
+        what: what it is, for the error's first words.
+        kind: the error to raise.
+
+    Raises:
+        FnnEkfError: it is not YAML, or no YAML that ROS would read.
+    """
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 (a SafeLoader)
+    except RecursionError:
+        raise kind(f"{what} is nested too deeply") from None
+    except Exception as error:  # PyYAML's constructors raise ValueError and others
+        reason = " ".join(str(error).split())
+        raise kind(f"{what} is not YAML: {reason[:200]}") from None
