@@ -255,7 +255,7 @@ def test_hostile_messages_do_not_end_the_node(
     ("arguments", "expected"),
     [
         ([], "'wheel_radius' is not set"),
-        (["-p", "wheel_radius:=-0.1"], "'wheel_radius' is -0.1: expected a number from 0.0001 to 10"),
+        (["-p", "wheel_radius:=-0.1"], "'wheel_radius' is -0.1: expected a number from 0.0001"),
         ([*GEOMETRY, "-p", "perod:=0.5"], "unknown parameter 'perod': did you mean 'period'?"),
         ([*GEOMETRY, "-p", "period:=fast"], "'period' is 'fast': expected a number"),
         ([*GEOMETRY, "-p", "period:=99.0"], "'period' is 99.0: expected a number"),

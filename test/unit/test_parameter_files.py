@@ -125,7 +125,7 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path: Path) -> No
     for path, words in (
         (tmp_path / "missing.yaml", "No such file"),
         (tmp_path, "is no file"),
-        (binary, "is not YAML"),
+        (binary, "is no text file"),
     ):
         with pytest.raises(ParameterError) as caught:
             read_parameter_file(path, "localizer")
@@ -146,7 +146,7 @@ def test_what_is_no_assignment_is_refused(text: str) -> None:
     with pytest.raises(ParameterError) as caught:
         parse_assignment(text)
     line = str(caught.value)
-    assert line.startswith(f"-p {text.split('=')[0]}")
+    assert line.startswith(f"-p {text.partition('=')[0]}")
     assert "\n" not in line
     assert "expected name:=value" in line or "is not YAML" in line
 

@@ -142,12 +142,12 @@ def test_simulate_overwrites_nothing(tmp_path: Path, refuse: Refuse) -> None:
     assert "does not exist" in refuse("simulate", tmp_path / "no" / "bag", "--duration", "1")
 
 
-@pytest.mark.xfail(strict=True, reason="the folder itself has no name to put a .yaml behind")
 def test_simulate_into_the_folder_itself_is_refused(
     tmp_path: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "exists already" in refuse("simulate", ".", "--duration", "1")
+    for name in (".", "/"):
+        assert "cannot be the name of a result" in refuse("simulate", name, "--duration", "1")
 
 
 # --- replay --------------------------------------------------------------------------------------
