@@ -134,13 +134,18 @@ class Pipeline:
 
     def _restart(self) -> None:
         """Forget the pose and the inputs; the noise that was adapted last is kept."""
-        if self._checkpoints:
-            last = self._checkpoints[-1].state
-            self._start_noise = last.process_noise, last.measurement_noise
+        self._start_noise = self._noise()
         self._checkpoints.clear()
         self._inputs = InputBuffer(self.parameters)
         self._changed_ns = _NEVER_NS
         self._now_ns = -_NEVER_NS
+
+    def _noise(self) -> tuple[FloatArray, FloatArray]:
+        """Return Q and R as they were adapted last."""
+        if not self._checkpoints:
+            return self._start_noise
+        last = self._checkpoints[-1].state
+        return last.process_noise, last.measurement_noise
 
     def _state(self) -> FilterState | Waiting:
         return self._checkpoints[-1].state if self._checkpoints else Waiting(*self._start_noise)
@@ -203,7 +208,8 @@ class Pipeline:
                 kept.append(checkpoint)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             self._health.restarted(f"the filter failed ({error})", end_ns, end_ns)
-            lost = _Checkpoint(end_ns, Waiting(*self._start_noise), None, self._model)
+            noise = self._noise()
+            lost = _Checkpoint(end_ns, Waiting(*noise), None, self._model)
             kept, estimate = deque([lost]), None
         self._checkpoints = kept
         self._health.redone(len(redo))
@@ -226,8 +232,10 @@ class Pipeline:
         checkpoint = _Checkpoint(end_ns, state, period.counts, model)
         if isinstance(state, Waiting):
             return checkpoint, None
-        if not (np.all(np.isfinite(state.mean)) and np.all(np.isfinite(state.covariance))):
-            raise ArithmeticError("a number is not finite")
+        if not np.all(np.isfinite(state.mean)):
+            raise ArithmeticError("the pose is not finite")
+        if not np.linalg.eigvalsh(state.covariance)[0] > 0.0:
+            raise ArithmeticError("the covariance is not positive definite")
         T = self.parameters.period
         return checkpoint, Estimate(
             stamp_ns=end_ns,
