@@ -33,7 +33,7 @@ setup(
     ],
     python_requires=">=3.11",
     # rclpy and the message packages come with ROS, never from here.
-    install_requires=["setuptools", "numpy>=1.26", "PyYAML>=6.0", "rosbags>=0.11.9,<0.12"],
+    install_requires=["numpy>=1.26", "PyYAML>=6.0", "rosbags>=0.11.9,<0.12"],
     extras_require={
         "tools": ["matplotlib>=3.8", "tqdm>=4.66"],
         "test": ["pytest>=8", "hypothesis>=6.100"],

@@ -3,12 +3,18 @@
 import math
 from dataclasses import dataclass
 
+from fnn_ekf_ros.parameters.paper import (
+    ENCODER_COUNTS_PER_REVOLUTION,
+    MEASUREMENT_STD,
+    SIMULATION_1_STD,
+    SIMULATION_2_STD,
+    WHEEL_RADIUS,
+    WHEEL_SEPARATION,
+    YAW_STD,
+)
 from fnn_ekf_ros.parameters.schema import Parameters, parameter
 
 NODE_NAME = "fake_robot"
-
-SIMULATION_1_SLIP_STD = (0.02, math.radians(1.0))
-SIMULATION_2_SLIP_STD = (0.05, math.radians(3.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,16 +23,24 @@ class FakeRobotParameters(Parameters):
 
     # Geometry
     wheel_radius: float = parameter(
-        0.025, "Radius of the wheels, D / 2.", "m", at_least=1e-4, at_most=10.0
+        WHEEL_RADIUS, "Radius of the wheels, D / 2.", "m", at_least=1e-4, at_most=10.0
     )
     wheel_separation: float = parameter(
-        0.6, "Distance between the wheels' contact points, L.", "m", at_least=1e-3, at_most=100.0
+        WHEEL_SEPARATION,
+        "Distance between the wheels' contact points, L.",
+        "m",
+        at_least=1e-3,
+        at_most=100.0,
     )
     gear_ratio: float = parameter(
         1.0, "Encoder turns per wheel turn, n.", "", at_least=1e-6, at_most=1e6
     )
     encoder_counts_per_revolution: float = parameter(
-        500.0, "Counts per turn of the encoder, C_e.", "counts", at_least=1e-3, at_most=1e9
+        ENCODER_COUNTS_PER_REVOLUTION,
+        "Counts per turn of the encoder, C_e.",
+        "counts",
+        at_least=1e-3,
+        at_most=1e9,
     )
 
     # Encoders
@@ -77,9 +91,11 @@ class FakeRobotParameters(Parameters):
         may_be_nan=True,
     )
     lrf_std: tuple[float, float, float] = parameter(
-        (0.1, 0.1, 0.134), "Noise of the laser fixes.", "[m, m, rad]", at_least=0.0, at_most=1e3
+        MEASUREMENT_STD, "Noise of the laser fixes.", "[m, m, rad]", at_least=0.0, at_most=1e3
     )
-    compass_std: float = parameter(0.134, "Noise of the compass.", "rad", at_least=0.0, at_most=1e3)
+    compass_std: float = parameter(
+        YAW_STD, "Noise of the compass.", "rad", at_least=0.0, at_most=1e3
+    )
     seed: int = parameter(
         1,
         "Seed of everything random: the same seed gives the same run.",
@@ -104,4 +120,4 @@ class FakeRobotParameters(Parameters):
         """Return the slip per 375 ms: as set, or the path's own (m, rad)."""
         if not math.isnan(self.slip_std[0]):
             return self.slip_std
-        return SIMULATION_1_SLIP_STD if self.path == "sim1" else SIMULATION_2_SLIP_STD
+        return SIMULATION_1_STD if self.path == "sim1" else SIMULATION_2_STD

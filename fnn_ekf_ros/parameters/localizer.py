@@ -4,8 +4,10 @@ import math
 from dataclasses import dataclass
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, InferenceKind
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.limits import LARGEST_POSITION, LARGEST_STD, SMALLEST_STD
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD, YAW_STD
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, parameter, refusal
 
 NODE_NAME = "localizer"
@@ -66,7 +68,7 @@ class LocalizerParameters(Parameters):
 
     # Time
     period: float = parameter(
-        0.375,
+        NOMINAL_PERIOD_S,
         "Time between two odom messages; boundaries are its multiples.",
         "s",
         at_least=0.01,
@@ -94,14 +96,14 @@ class LocalizerParameters(Parameters):
         choices=tuple(MotionModel),
     )
     process_noise_std: tuple[float, float] = parameter(
-        (0.05, math.radians(3.0)),
+        SIMULATION_2_STD,
         "Wheel noise of one 375 ms period: way, turn (sqrt of Q).",
         "[m, rad]",
         at_least=SMALLEST_STD,
         at_most=LARGEST_STD,
     )
     measurement_noise_std: tuple[float, float, float] = parameter(
-        (0.1, 0.1, 0.134),
+        MEASUREMENT_STD,
         "Noise of the laser fixes' x, y and of the compass (sqrt of R).",
         "[m, m, rad]",
         at_least=SMALLEST_STD,
@@ -109,7 +111,7 @@ class LocalizerParameters(Parameters):
     )
     lrf_use_yaw: bool = parameter(False, "Use the laser fixes' yaw, beside the compass.")
     lrf_yaw_std: float = parameter(
-        0.134, "Noise of the laser fixes' yaw.", "rad", at_least=SMALLEST_STD, at_most=LARGEST_STD
+        YAW_STD, "Noise of the laser fixes' yaw.", "rad", at_least=SMALLEST_STD, at_most=LARGEST_STD
     )
     lrf_use_message_covariance: bool = parameter(
         False, "Take R of the laser fixes from their messages, times the adapted scale."
@@ -182,7 +184,7 @@ class LocalizerParameters(Parameters):
         may_be_nan=True,
     )
     initial_pose_std: tuple[float, float, float] = parameter(
-        (0.1, 0.1, 0.134),
+        MEASUREMENT_STD,
         "How well initial_pose is known.",
         "[m, m, rad]",
         at_least=SMALLEST_STD,
