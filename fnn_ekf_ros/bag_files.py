@@ -1,8 +1,8 @@
 """Reading and writing of rosbag2 recordings; the only module that knows rosbags."""
 
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -233,24 +233,8 @@ class BagWriter:
         if beside:
             refuse_existing(file_beside(path))
             self._results.append(file_beside(path))
-        try:
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        except OSError as error:
-            raise self._broken(error) from None
+        self._storage, self._notes, self._beside = storage, notes, beside
         self._connections: dict[str, Connection] = {}
-        try:
-            if beside:
-                (self._folder / file_beside(path).name).write_text(beside, encoding="utf-8")
-            plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-            self._writer = Writer(self._folder / path.name, version=9, storage_plugin=plugin)
-            if storage == "mcap":
-                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            for key, text in notes.items():
-                self._writer.set_custom_data(key, text)
-            self._writer.open()
-        except Exception as error:  # the storages raise errors of many kinds
-            shutil.rmtree(self._folder, ignore_errors=True)
-            raise self._broken(error) from None
 
     def add_topic(self, topic: Topic) -> None:
         """Announce a topic; `write` does so by itself for topics of ROS 2 Jazzy's types.
@@ -297,7 +281,18 @@ class BagWriter:
             raise self._broken(error) from None
 
     def __enter__(self) -> Self:
-        """Return the writer."""
+        """Open the bag in a hidden folder beside its place."""
+        # Named before it is made, so that no signal in between can leave it behind.
+        self._folder = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
+        try:
+            self._folder.mkdir()
+            self._open()
+        except Exception as error:  # the storages raise errors of many kinds
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise self._broken(error) from None
+        except BaseException:  # a signal
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
         return self
 
     def __exit__(
@@ -326,6 +321,19 @@ class BagWriter:
             raise self._broken(failure) from None
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _open(self) -> None:
+        if self._beside:
+            beside = self._folder / file_beside(self.path).name
+            beside.write_text(self._beside, encoding="utf-8")
+        mcap = self._storage == "mcap"
+        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+        self._writer = Writer(self._folder / self.path.name, version=9, storage_plugin=plugin)
+        if mcap:
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        for key, text in self._notes.items():
+            self._writer.set_custom_data(key, text)
+        self._writer.open()
 
     def _broken(self, error: Exception) -> BagError:
         return BagError(f"bag '{self.path}' cannot be written ({_reason(error)})")
