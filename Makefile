@@ -8,8 +8,7 @@ BIN := $(VENV)/bin
 COLCON := $(BIN)/colcon --log-base build/log
 COLCON_PATHS := --build-base build/colcon --install-base build/install
 
-# Own domain, and nothing leaves this machine.
-export ROS_DOMAIN_ID ?= 87
+# Nothing leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 

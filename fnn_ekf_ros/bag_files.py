@@ -9,20 +9,25 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
-
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import Message
+
+try:
+    from rosbags.interfaces import (
+        Connection,
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+except ImportError as error:
+    raise FnnEkfError(
+        f"recordings need rosbags, which is not here ({error}): pip install 'rosbags>=0.11.9,<0.12'"
+    ) from None
 
 STORAGES = ("mcap", "sqlite3")
 _TYPESTORE = get_typestore(Stores.ROS2_JAZZY)

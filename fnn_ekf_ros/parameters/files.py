@@ -61,6 +61,22 @@ def parse_assignment(text: str) -> tuple[str, Any]:
     return name, load_yaml(value, f"-p {name}:= value '{value[:80]}'", ParameterError)
 
 
+def refuse_what_ros_refuses(values: Mapping[str, Any]) -> None:
+    """Refuse values that ROS itself cannot take, without saying which.
+
+    Raises:
+        ParameterError: a value that is missing, or a list of mixed types.
+    """
+    for name, value in values.items():
+        if value is None or value == []:
+            raise ParameterError(f"parameter '{name}' has no value: give it one or leave it out")
+        if isinstance(value, list) and len({type(entry) for entry in value}) > 1:
+            raise ParameterError(
+                f"parameter '{name}' is {value}: expected a list of one type, as ROS does; "
+                "write each number with a point"
+            )
+
+
 def render_parameter_file(
     kind: type[Parameters], values: Mapping[str, Any], node_name: str, head: str = ""
 ) -> str:

@@ -50,7 +50,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._settings = parameters
         self._pipeline = Pipeline(parameters, network)
         self._levels: dict[str, Level] = {}
-        self._refusal_logged_s: dict[str, float] = {}
+        self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
         self._odom, self._noise, self._diagnostics = (
             self.create_publisher(
@@ -119,15 +119,21 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     def _log_refusal(self, topic: str, rejected: Rejected) -> None:
         """Log a refused message, of each topic once in a while."""
-        now_s = time.monotonic()
-        if now_s - self._refusal_logged_s.get(topic, -math.inf) > LOG_INTERVAL_S:
-            self._refusal_logged_s[topic] = now_s
+        if self._may_log(topic):
             self.get_logger().warning(f"refused: {rejected.reason}")
 
+    def _may_log(self, subject: str) -> bool:
+        now_s = time.monotonic()
+        if now_s - self._logged_s.get(subject, -math.inf) < LOG_INTERVAL_S:
+            return False
+        self._logged_s[subject] = now_s
+        return True
+
     def _log_changes(self, statuses: Sequence[Status]) -> None:
-        """Log a status when it gets better or worse; /diagnostics has it all the time."""
+        """Log a status when it gets better or worse, but not all the time; /diagnostics does."""
         for status in statuses:
-            if status.level != self._levels.get(status.name, Level.OK):
+            changed = status.level != self._levels.get(status.name, Level.OK)
+            if changed and self._may_log(f"{status.name} {status.level}"):
                 text = f"{status.name}: {status.message}"
                 if status.level is Level.OK:
                     self.get_logger().info(text)

@@ -40,6 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--exclude-topics", nargs="+", metavar="TOPIC", default=[], help="all but these"
     )
     parser.add_argument(
+        "--delay", type=float, default=0.0, metavar="S",
+        help="begin so much later (0); /clock stands at the beginning meanwhile",
+    )  # fmt: skip
+    parser.add_argument(
         "--wait-for-subscribers", type=float, metavar="S",
         help="begin when every topic (and /clock) has a subscriber; fail after S seconds",
     )  # fmt: skip
@@ -49,6 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     if not 1e-3 <= arguments.rate <= 1e4:
         raise FnnEkfError(f"--rate {arguments.rate:g}: expected 0.001 to 10000")
+    if not 0.0 <= arguments.delay <= 1e6:
+        raise FnnEkfError(f"--delay {arguments.delay:g}: expected 0 to 1e6 seconds")
     patience_s = arguments.wait_for_subscribers
     if patience_s is not None and not 0.0 <= patience_s <= 1e6:
         raise FnnEkfError(f"--wait-for-subscribers {patience_s:g}: expected 0 to 1e6 seconds")
@@ -59,6 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
             player = _Player(node, topics, arguments)
             if patience_s is not None:
                 player.wait_for_subscribers(patience_s)
+            player.wait(arguments.delay, bag.start_ns)
             while True:
                 player.play(bag)
                 if not arguments.loop or STOPPED.is_set():
@@ -115,6 +122,12 @@ class _Player:
                     f"no subscriber after {patience_s:g} s on {', '.join(sorted(missing))}"
                 )
             STOPPED.wait(0.02)
+
+    def wait(self, delay_s: float, begin_ns: int) -> None:
+        """Let the clock stand at the beginning for a while."""
+        until = time.monotonic() + delay_s
+        while time.monotonic() < until and not STOPPED.wait(CLOCK_INTERVAL_NS * 1e-9):
+            self._tell_clock(begin_ns)
 
     def play(self, bag: BagReader) -> None:
         """Publish the recording once."""

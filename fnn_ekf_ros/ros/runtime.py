@@ -7,7 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.parameters.files import parse_assignment, read_parameter_file
+from fnn_ekf_ros.parameters.files import (
+    parse_assignment,
+    read_parameter_file,
+    refuse_what_ros_refuses,
+)
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, fields_of
 from fnn_ekf_ros.stopping import STOPPED
 
@@ -43,14 +47,7 @@ def check_ros_arguments(argv: Sequence[str], node_name: str) -> None:
         elif option in ("-p", "--param"):
             name, content = parse_assignment(value)
             given[name] = content
-    for name, value in given.items():
-        if value is None or value == []:
-            raise ParameterError(f"parameter '{name}' has no value: give it one or leave it out")
-        if isinstance(value, list) and len({type(entry) for entry in value}) > 1:
-            raise ParameterError(
-                f"parameter '{name}' is {value}: expected a list of one type, as ROS does; "
-                "write each number with a point"
-            )
+    refuse_what_ros_refuses(given)
 
 
 @contextmanager

@@ -1,12 +1,14 @@
 """Command line arguments that several commands share."""
 
 import argparse
-import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fnn_ekf_ros.parameters.files import parse_assignment, read_parameter_file
+from fnn_ekf_ros.parameters.files import (
+    parse_assignment,
+    read_parameter_file,
+    refuse_what_ros_refuses,
+)
 
 
 def add_parameter_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +24,7 @@ def add_parameter_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def given_parameters(arguments: argparse.Namespace, node_name: str) -> dict[str, Any]:
-    """Return what `--params` and `-p` say, unchecked.
+    """Return what `--params` and `-p` say, checked only for what ROS would not take.
 
     Raises:
         ParameterError: a file or an assignment that cannot be read.
@@ -31,9 +33,5 @@ def given_parameters(arguments: argparse.Namespace, node_name: str) -> dict[str,
     for path in arguments.params:
         values.update(read_parameter_file(path, node_name))
     values.update(parse_assignment(text) for text in arguments.assignments)
+    refuse_what_ros_refuses(values)
     return values
-
-
-def command_line(name: str, argv: Sequence[str]) -> str:
-    """Return a command as it was typed, for the notes of what it made."""
-    return shlex.join(["fnn_ekf_ros", name, *argv])

@@ -93,7 +93,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fixes", metavar="CSV", type=Path, help="pose fixes, if they have a file of their own"
     )
-    parser.add_argument("--geometry", metavar="JSON", type=Path, help="wheel base, way per tick")
+    parser.add_argument(
+        "--geometry", metavar="JSON", type=Path, help="wheel base, way per tick (needed)"
+    )
     parser.add_argument(
         "--truth-columns", metavar="COLUMN", nargs="+", help="x y [theta] (gt_x gt_y gt_theta)"
     )
@@ -134,6 +136,10 @@ def run(arguments: argparse.Namespace) -> int:
         *(_compass(table, compass, shift, parameters) if compass else ()),
         *(_fixes(fixes, fix_columns, shift, parameters) if fix_columns else ()),
     ]
+    for source in {table.path: table, fixes.path: fixes}.values():
+        backwards = int(np.sum(np.diff(source.column("t")) < 0.0))
+        if backwards:
+            print(f"import-csv: '{source.path}': t goes back {backwards} times; rows are sorted")
     timed.sort(key=lambda entry: (entry.time_ns, entry.order))
     head = f"Localizer parameters for {arguments.out.name}, imported from {arguments.csv.name}."
     matching = render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME, head)

@@ -44,7 +44,12 @@ def plot_tracks(path: Path, runs: Mapping[str, tuple[Track, Track]]) -> None:
     span = np.concatenate([truth.pose[:, :2] for truth in truths.values()])
     size, centre = np.max(np.ptp(span, axis=0)), np.mean(span, axis=0)
     for index, (name, (estimate, truth)) in enumerate(runs.items()):
-        style: dict[str, Any] = {"color": f"C{index}", "lw": 1.2, "label": name.replace("$", r"\$")}
+        style: dict[str, Any] = {
+            "color": f"C{index}",
+            "ls": ("-", "--")[index % 2],  # runs that lie on each other can both be seen
+            "lw": 1.3,
+            "label": name.replace("$", r"\$"),
+        }
         tracks.plot(estimate.pose[:, 0], estimate.pose[:, 1], **style)
         error = estimate.pose - interpolate(truth, estimate.time_ns)
         seconds = (estimate.time_ns - truth.time_ns[0]) * 1e-9

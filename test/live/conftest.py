@@ -127,7 +127,7 @@ def bags() -> Path:
 @pytest.fixture
 def recordings() -> Path:
     """Recordings of real robots that are not part of the project."""
-    folder = ROOT.parent / "shared" / "data"
+    folder = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip("the recordings of real robots are not on this machine")
+        pytest.skip("no recordings of real robots: FNN_EKF_ROS_RECORDINGS can name their folder")
     return folder

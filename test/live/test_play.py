@@ -35,7 +35,7 @@ def played(
         patiently(lambda: recorder.spin_once(0.05) or recorder.connected(), "the localizer")
         player = processes.start(
             "play", bag, "--rate", rate, "--clock", "--topics", *topics,
-            "--wait-for-subscribers", 60,
+            "--wait-for-subscribers", 60, "--delay", 1,
         )  # fmt: skip
         patiently(
             lambda: recorder.spin_once(0.05) or player.poll() is not None, "the player", 400.0

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,10 +14,12 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
 from fnn_ekf_ros.messages import Message
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
+DATA = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", BESIDE))
 Succeed = Callable[..., str]
 needs_data = pytest.mark.skipif(
-    not DATA.is_dir(), reason=f"the real recordings are not here: expected them in {DATA}"
+    not DATA.is_dir(),
+    reason="no recordings of real robots: FNN_EKF_ROS_RECORDINGS can name their folder",
 )
 
 
