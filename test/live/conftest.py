@@ -13,6 +13,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0
+HEARS_SIGINT = ["env", "--default-signal=INT"]
+"""A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
 
 def prefix_of_workspace() -> Path | None:
@@ -53,7 +55,8 @@ class Processes:
         log = self.folder / f"{name}-{len(self._running)}"
         with (log.with_suffix(".out")).open("w") as out, (log.with_suffix(".err")).open("w") as err:
             process = subprocess.Popen(
-                self.command(name, *arguments), env=self.environment, stdout=out, stderr=err,
+                [*HEARS_SIGINT, *self.command(name, *arguments)],
+                env=self.environment, stdout=out, stderr=err,
                 text=True, cwd=self.folder,
             )  # fmt: skip
         process.log = log  # type: ignore[attr-defined]

@@ -1,0 +1,76 @@
+"""Names and types of the topics, and what the numbers of `~/noise` are."""
+
+from fnn_ekf_ros.core.arrays import Row
+from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
+
+LEFT_TICKS = "left_ticks"
+RIGHT_TICKS = "right_ticks"
+JOINT_STATES = "joint_states"
+COMPASS = "compass"
+LRF_POSE = "lrf_pose"
+INITIAL_POSE = "initialpose"
+ODOM = "odom"
+NOISE = "noise"
+DIAGNOSTICS = "/diagnostics"
+GROUND_TRUTH = "ground_truth"
+CMD_VEL = "cmd_vel"
+CLOCK = "/clock"
+
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+NOISE_TYPE = "std_msgs/msg/Float64MultiArray"
+TICKS_TYPE = "std_msgs/msg/Int32"
+JOINT_STATES_TYPE = "sensor_msgs/msg/JointState"
+COMPASS_TYPE = "sensor_msgs/msg/Imu"
+POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+TWIST_TYPE = "geometry_msgs/msg/Twist"
+
+INPUT_TYPES = {
+    LEFT_TICKS: TICKS_TYPE,
+    RIGHT_TICKS: TICKS_TYPE,
+    JOINT_STATES: JOINT_STATES_TYPE,
+    COMPASS: COMPASS_TYPE,
+    LRF_POSE: POSE_TYPE,
+    INITIAL_POSE: POSE_TYPE,
+}
+"""Topics the localizer can listen to."""
+
+NOISE_FIELDS = (
+    "measurement_noise_x",
+    "measurement_noise_y",
+    "measurement_noise_compass_yaw",
+    "measurement_noise_lrf_yaw",
+    "process_noise_forward",
+    "process_noise_heading",
+    "nis",
+    "degrees_of_freedom",
+    *(f"innovation_{row.name.lower()}" for row in Row),
+    *(f"innovation_variance_{row.name.lower()}" for row in Row),
+    *(f"mismatch_{row.name.lower()}" for row in Row),
+    *(
+        f"firing_{rule}_{row.name.lower()}"
+        for row in Row
+        for rule in ("increase", "maintain", "decrease")
+    ),
+)
+"""What each number of `~/noise` is; variances in m^2 and rad^2."""
+
+
+def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:
+    """Return the topics that a localizer with these parameters listens to.
+
+    The encoders come last: they close periods, and of messages that wait together those of the
+    topics that were subscribed to first are taken first.
+    """
+    wheels = (JOINT_STATES,) if parameters.encoder_source == "joint_states" else (
+        LEFT_TICKS, RIGHT_TICKS,
+    )  # fmt: skip
+    return (COMPASS, LRF_POSE, INITIAL_POSE, *wheels)
+
+
+def absolute_name(topic: str) -> str:
+    """Return a topic's name as it is recorded, without a namespace."""
+    if topic.startswith("~/"):
+        return f"/{NODE_NAME}/{topic[2:]}"
+    return topic if topic.startswith("/") else f"/{topic}"

@@ -1,0 +1,186 @@
+"""From messages to events; by attribute names, so rclpy's messages and bags' are read alike."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.covariance import usable_covariance
+from fnn_ekf_ros.core.limits import LARGEST_POSITION, LARGEST_STD, SMALLEST_STD
+from fnn_ekf_ros.messages.names import (
+    COMPASS,
+    INITIAL_POSE,
+    JOINT_STATES,
+    LEFT_TICKS,
+    RIGHT_TICKS,
+)
+from fnn_ekf_ros.messages.writing import PLANAR
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.events import (
+    CompassYaw,
+    Event,
+    PoseFix,
+    PoseReset,
+    Rejected,
+    Sensor,
+    Wheel,
+    WheelCount,
+)
+
+_A_COVARIANCE = (
+    f"a symmetric, positive definite covariance with {SMALLEST_STD**2:g} to {LARGEST_STD**2:g} on "
+    "its diagonal"
+)
+
+
+def read_input(
+    topic: str, message: Any, receive_ns: int, parameters: LocalizerParameters
+) -> list[Event] | Rejected:
+    """Return the events in a message, or why it cannot be used.
+
+    Args:
+        topic: one of `input_topics`.
+        message: of that topic's type, from rclpy or from a bag.
+        receive_ns: ROS time of arrival, the stamp of messages that carry none [ns].
+        parameters: frames, joints and sensors of the localizer.
+    """
+    if topic in (LEFT_TICKS, RIGHT_TICKS):
+        wheel = Wheel.LEFT if topic == LEFT_TICKS else Wheel.RIGHT
+        return [WheelCount(receive_ns, wheel, int(message.data))]
+    if topic == JOINT_STATES:
+        return _wheel_positions(message, parameters)
+    if topic == COMPASS:
+        return _compass_yaw(message)
+    return _pose(topic, message, receive_ns, parameters)
+
+
+def stamp_ns(message: Any) -> int:
+    """Return the stamp of a message with a header [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def yaw_of(orientation: Any) -> float | None:
+    """Return the yaw of a quaternion message [rad]; None if it is not a finite rotation.
+
+    Quaternions that are off unit length by up to a tenth are taken for the rotation they mean.
+    """
+    q = [float(getattr(orientation, axis)) for axis in "xyzw"]
+    norm = math.hypot(*q)
+    if not math.isfinite(norm) or abs(norm - 1.0) > 0.1:
+        return None
+    x, y, z, w = (component / norm for component in q)
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def planar_pose(message: Any) -> FloatArray:
+    """Return [x, y, yaw] of a message with `pose.pose` (m, m, rad); NaN yaw if it has none."""
+    pose = message.pose.pose
+    yaw = yaw_of(pose.orientation)
+    return np.array([pose.position.x, pose.position.y, math.nan if yaw is None else yaw])
+
+
+def planar_block(covariance: Any) -> FloatArray:
+    """Return the `(3, 3)` block of x, y, yaw of a message's 36 covariance numbers."""
+    return np.array(covariance, dtype=np.float64).reshape(6, 6)[PLANAR]
+
+
+def _wheel_positions(message: Any, parameters: LocalizerParameters) -> list[Event] | Rejected:
+    names = list(message.name)
+    events: list[Event] = []
+    for wheel, joint in (
+        (Wheel.LEFT, parameters.left_joint),
+        (Wheel.RIGHT, parameters.right_joint),
+    ):
+        if joint not in names:
+            continue  # joint_states is shared by everything on the robot that moves
+        index = names.index(joint)
+        if index >= len(message.position):
+            return Rejected(Sensor.ENCODERS, f"joint_states has no position for '{joint}'")
+        position = float(message.position[index])
+        if not abs(position) < LARGEST_POSITION:
+            return Rejected(
+                Sensor.ENCODERS,
+                f"joint '{joint}' is at {position:g} rad, expected less than "
+                f"{LARGEST_POSITION:g} either way",
+            )
+        events.append(WheelCount(stamp_ns(message), wheel, position))
+    return events
+
+
+def _compass_yaw(message: Any) -> list[Event] | Rejected:
+    if message.orientation_covariance[0] == -1.0:
+        return []  # an IMU that says it has no orientation
+    yaw = yaw_of(message.orientation)
+    if yaw is None:
+        return Rejected(Sensor.COMPASS, _bad_quaternion(message.orientation))
+    return [CompassYaw(stamp_ns(message), yaw)]
+
+
+def _pose(
+    topic: str, message: Any, receive_ns: int, parameters: LocalizerParameters
+) -> list[Event] | Rejected:
+    if message.header.frame_id != parameters.frame_id:
+        return Rejected(
+            Sensor.LRF_POSE,
+            f"{topic} in frame '{message.header.frame_id}', expected '{parameters.frame_id}'",
+        )
+    pose = planar_pose(message)
+    if not np.all(np.abs(pose[:2]) < LARGEST_POSITION):
+        return Rejected(
+            Sensor.LRF_POSE,
+            f"{topic} at ({pose[0]:g}, {pose[1]:g}) m, expected less than "
+            f"{LARGEST_POSITION:g} m either way",
+        )
+    if math.isnan(pose[2]) and (topic == INITIAL_POSE or parameters.lrf_use_yaw):
+        return Rejected(
+            Sensor.LRF_POSE, f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}"
+        )
+    covariance = planar_block(message.pose.covariance)
+    if topic == INITIAL_POSE:
+        return _pose_reset(message, pose, covariance, receive_ns, parameters)
+    if parameters.lrf_use_message_covariance:
+        rows = 3 if parameters.lrf_use_yaw else 2
+        used = covariance[:rows, :rows]
+        checked = usable_covariance(used)
+        if checked is not None:
+            covariance[:rows, :rows] = checked
+        else:
+            shown = ", ".join(f"{value:g}" for value in np.diag(used))
+            return Rejected(
+                Sensor.LRF_POSE,
+                f"lrf_pose has the covariance diagonal [{shown}], expected "
+                f"{_A_COVARIANCE} (lrf_use_message_covariance is true)",
+            )
+    return [PoseFix(stamp_ns(message), pose, covariance)]
+
+
+def _pose_reset(
+    message: Any,
+    pose: FloatArray,
+    covariance: FloatArray,
+    receive_ns: int,
+    parameters: LocalizerParameters,
+) -> list[Event] | Rejected:
+    """Return the event; somebody's word counts now at the latest, and without a stamp now."""
+    unknown = np.diag(covariance) == 0.0
+    if np.any(unknown):
+        covariance[unknown, :] = covariance[:, unknown] = 0.0
+        variances = np.square(parameters.initial_pose_std)
+        covariance[unknown, unknown] = variances[unknown]
+    checked = usable_covariance(covariance)
+    if checked is None:
+        shown = ", ".join(f"{value:g}" for value in np.diag(covariance))
+        return Rejected(
+            Sensor.LRF_POSE,
+            f"{INITIAL_POSE} has the covariance diagonal [{shown}], expected {_A_COVARIANCE}, or 0 "
+            "on its diagonal for initial_pose_std",
+        )
+    given_ns = stamp_ns(message)
+    return [PoseReset(min(given_ns, receive_ns) if given_ns else receive_ns, pose, checked)]
+
+
+def _bad_quaternion(orientation: Any) -> str:
+    shown = ", ".join(f"{float(getattr(orientation, axis)):g}" for axis in "xyzw")
+    return f"orientation ({shown}) is no unit quaternion"
