@@ -83,6 +83,7 @@ def show(text: str) -> None:
 
 def main() -> None:
     """Run the demo."""
+    sys.stdout.reconfigure(line_buffering=True)  # in order with what the commands print
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 90))  # two demos do not meet
     shutil.rmtree(OUT, ignore_errors=True)
