@@ -1,0 +1,1 @@
+"""Monte Carlo studies: simulated recordings, every filter on the same data, scores."""

@@ -1,0 +1,59 @@
+"""What every filter of a study is given and what it gives back; time first, then the batch."""
+
+from typing import NamedTuple
+
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
+
+
+class Recording(NamedTuple):
+    """What the sensors of a batch of robots said, with the truth; T steps, n runs.
+
+    Attributes:
+        period_s: length of one step [s].
+        truth: `(T + 1, n, 3)` true poses, the start first (m, m, rad; map frame).
+        control: `(T, n, 2)` [dS, dtheta] from the encoders (m, rad).
+        measurement: `(T, n, 4)` z at the end of each step, rows as in `Row` (m, m, rad, rad).
+        available: `(T, n, 4)` which rows were measured.
+        process_noise: `(T, 2)` diagonal of the true Q of each step (m^2, rad^2).
+        measurement_noise: `(T, 4)` diagonal of the true R of each step.
+    """
+
+    period_s: float
+    truth: FloatArray
+    control: FloatArray
+    measurement: FloatArray
+    available: BoolArray
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+
+
+class Start(NamedTuple):
+    """What a filter is told before the first step; leading dimensions broadcast to the batch.
+
+    Attributes:
+        mean: `(..., n, 3)` start pose (m, m, rad; map frame).
+        covariance: `(..., n, 3, 3)` its covariance.
+        process_noise: `(..., n, 2)` assumed diagonal of Q (m^2, rad^2).
+        measurement_noise: `(..., n, 4)` assumed diagonal of R, rows as in `Row`.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+
+
+class Track(NamedTuple):
+    """What a filter said, after each of the T steps.
+
+    Attributes:
+        mean: `(T, ..., n, 3)` poses (m, m, rad; map frame).
+        covariance: `(T, ..., n, 3, 3)` their covariances.
+        nis: `(T, ..., n)` normalised innovation squared; 0 where nothing was measured.
+        degrees_of_freedom: `(T, ..., n)` of `nis`.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    nis: FloatArray
+    degrees_of_freedom: FloatArray
