@@ -33,10 +33,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "pipeline": {"core", "errors", "parameters"},
     "messages": {"core", "parameters", "pipeline"},
     "simulation": {"core", "messages", "parameters"},
+    "study": {"core", "membership", "parameters", "simulation"},
+    "training": {"core", "membership", "parameters", "simulation", "study"},
     "bag_files": {"errors", "messages"},
     "tools": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
-        "simulation", "text_files", "yaml_text",
+        "simulation", "study", "text_files", "training", "yaml_text",
     },
     "ros": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
@@ -51,7 +53,17 @@ ROS_SUFFIXES = ("_msgs", "_interfaces", "_srvs", "_py")
 ROS_PACKAGES = {"rclpy", "rcl_interfaces", "rosidl_runtime_py", "tf2_ros"}
 # (module that needs it, what it needs): the one place for each.
 ONLY_IN = {"rosbags": {"bag_files"}, "matplotlib": {"tools"}, "tqdm": {"tools"}}
-PURE_PARTS = ("core", "parameters", "pipeline", "messages", "simulation", "membership", "errors")
+PURE_PARTS = (
+    "core",
+    "parameters",
+    "pipeline",
+    "messages",
+    "simulation",
+    "membership",
+    "study",
+    "training",
+    "errors",
+)
 
 
 def imports(path: Path) -> Iterator[str]:
