@@ -1,0 +1,64 @@
+"""Noise that changes, and errors that are no white noise: one case each, in simulation 1."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from fnn_ekf_ros.core.arrays import Row
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.study.filters import StudyFilter
+from fnn_ekf_ros.study.scenarios import NOMINAL, Scenario
+from fnn_ekf_ros.study.starts import CORNERS, RIGHT
+from fnn_ekf_ros.study.trials import Size, Trial, around_event, make_trial
+
+
+class Case(NamedTuple):
+    """What goes wrong.
+
+    Attributes:
+        about: in words.
+        scenario: in numbers.
+        has_event: whether it happens in the event only; else all the time, or never.
+    """
+
+    about: str
+    scenario: Scenario
+    has_event: bool
+
+
+CASES = {
+    "nominal": Case("nothing goes wrong", NOMINAL, has_event=False),
+    "slip": Case(
+        "slip, 100 times the variance", Scenario(process_scale=100.0), has_event=True
+    ),
+    "noisy_sensors": Case(
+        "fixes and compass, 25 times the variance", Scenario(measurement_scale=25.0), has_event=True
+    ),
+    "unequal_wheels": Case(
+        "wheel diameters unequal by 2 %", Scenario(wheel_inequality=0.02), has_event=False
+    ),
+    "compass_bias": Case(
+        "compass off by 5 deg", Scenario(compass_bias=math.radians(5.0)), has_event=True
+    ),
+    "outliers": Case(
+        "5 % of the fixes with 10 times the standard deviation",
+        Scenario(outlier_share=0.05, outlier_scale=10.0),
+        has_event=False,
+    ),
+    "coloured_fixes": Case(
+        "fixes with a lag-1 correlation of 0.5", Scenario(fix_correlation=0.5), has_event=False
+    ),
+    "fixes_lost": Case("no fixes", Scenario(lost=(Row.X, Row.Y)), has_event=True),
+    "compass_lost": Case("no compass", Scenario(lost=(Row.COMPASS_YAW,)), has_event=True),
+}  # fmt: skip
+
+PATH = "sim1"
+STARTS = (RIGHT, *CORNERS)
+
+
+def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:
+    """Yield the cases, each from the right start and from the four that are furthest off."""
+    robot = FakeRobotParameters(path=PATH)
+    for name, case in CASES.items():
+        ranges = around_event(size.steps)
+        yield make_trial(name, robot, case.scenario, STARTS, ranges, size, oracle)

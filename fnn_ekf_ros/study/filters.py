@@ -1,0 +1,113 @@
+"""The filters of the studies, by name; all see the same recordings and the same starts."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import STATE_SIZE
+from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
+from fnn_ekf_ros.membership.files import PACKAGED, read_membership
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.configure import filter_model
+from fnn_ekf_ros.study.recording import Recording, Start, Track
+
+ORACLE = "oracle"
+DEAD_RECKONING = "dead_reckoning"
+SMALLEST_WINDOW = 2
+"""A filter that adapts nothing need not carry more innovations along."""
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFilter:
+    """A filter of the studies.
+
+    Attributes:
+        name: what `--filters` calls it.
+        label: what tables and figures call it.
+        run: takes a recording and starts `(..., n)`; returns the track `(T, ..., n)`.
+    """
+
+    name: str
+    label: str
+    run: Callable[[Recording, Start], Track]
+
+
+def study_filters(parameters: LocalizerParameters) -> dict[str, StudyFilter]:
+    """Return all filters by name.
+
+    Args:
+        parameters: of every filter, but for what its name says and the noise it starts with.
+    """
+    fixed = _model(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
+    filters = [
+        StudyFilter(DEAD_RECKONING, "dead reckoning", lambda r, s: run(fixed, _blind(r), s)),
+        StudyFilter("ekf", "EKF", lambda r, s: run(fixed, r, s)),
+        StudyFilter(ORACLE, "oracle EKF", lambda r, s: run(fixed, r, s, knows_noise=True)),
+    ]
+    for name in ("published", "trained"):
+        if name in PACKAGED:
+            filters += [
+                _adaptive(f"r_{name}", f"FNN-EKF R, {name}", parameters, "r", name),
+                _adaptive(f"q_{name}", f"FNN-EKF Q, {name}", parameters, "q", name),
+            ]
+    return {each.name: each for each in filters}
+
+
+def run(model: FilterModel, recording: Recording, start: Start, knows_noise: bool = False) -> Track:
+    """Run the localizer's own filter over a recording.
+
+    Args:
+        model: the filter.
+        recording: of n robots.
+        start: `(..., n)` starts.
+        knows_noise: whether it is told each step's true Q and R instead of the start's.
+    """
+    steps = len(recording.control)
+    state = start_filter(
+        model, start.mean, start.covariance, start.process_noise, start.measurement_noise
+    )
+    track = empty_track(steps, start)
+    for t in range(steps):
+        if knows_noise:
+            state = state._replace(
+                process_noise=recording.process_noise[t],
+                measurement_noise=recording.measurement_noise[t],
+            )
+        state, result = step(
+            model,
+            state,
+            StepInput(recording.control[t], recording.measurement[t], recording.available[t]),
+        )
+        track.mean[t], track.covariance[t] = state.mean, state.covariance
+        track.nis[t], track.degrees_of_freedom[t] = result.nis, result.degrees_of_freedom
+    return track
+
+
+def empty_track(steps: int, start: Start) -> Track:
+    """Return a track of so many steps to be filled in."""
+    batch = (steps, *start.mean.shape[:-1])
+    return Track(
+        mean=np.empty((*batch, STATE_SIZE)),
+        covariance=np.empty((*batch, STATE_SIZE, STATE_SIZE)),
+        nis=np.empty(batch),
+        degrees_of_freedom=np.empty(batch),
+    )
+
+
+def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
+    changed = dataclasses.replace(parameters, **changes)
+    return filter_model(changed, read_membership(changed.membership_file))
+
+
+def _adaptive(
+    name: str, label: str, parameters: LocalizerParameters, mode: str, membership: str
+) -> StudyFilter:
+    model = _model(parameters, adaptation=mode, membership_file=membership)
+    return StudyFilter(name, label, lambda recording, start: run(model, recording, start))
+
+
+def _blind(recording: Recording) -> Recording:
+    return recording._replace(available=np.zeros_like(recording.available))

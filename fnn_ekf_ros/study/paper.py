@@ -1,0 +1,28 @@
+"""The paper's own trials: both simulations and the experiment's round path.
+
+From the right start, and with R assumed 25 times its true variance. The paper does not say how
+wrong its own start was; where it is right, no adaptive filter can beat the EKF.
+"""
+
+from collections.abc import Iterator
+
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.study.filters import StudyFilter
+from fnn_ekf_ros.study.scenarios import NOMINAL
+from fnn_ekf_ros.study.starts import RIGHT, Cell
+from fnn_ekf_ros.study.trials import Size, Trial, halves, make_trial
+
+TRIALS = {
+    "sim1": "simulation 1",
+    "sim2": "simulation 2",
+    "round": "experiment",
+}
+"""Paths of the fake robot, and what the paper calls them."""
+STARTS = (RIGHT, Cell(1.0, 25.0))
+
+
+def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:
+    """Yield the two simulations and the experiment."""
+    for path in TRIALS:
+        robot = FakeRobotParameters(path=path)
+        yield make_trial(path, robot, NOMINAL, STARTS, halves(size.steps), size, oracle)

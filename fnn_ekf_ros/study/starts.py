@@ -1,0 +1,64 @@
+"""Starts that are right or wrong about the noise."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.study.recording import Recording, Start
+
+FACTORS = (1.0 / 25.0, 1.0 / 4.0, 1.0, 4.0, 25.0)
+"""Assumed over true variance, standard deviations wrong by up to five."""
+
+
+class Cell(NamedTuple):
+    """How wrong a start is.
+
+    Attributes:
+        q: assumed over true variance of Q.
+        k: assumed over true variance of R.
+    """
+
+    q: float
+    k: float
+
+
+RIGHT = Cell(1.0, 1.0)
+ALL_CELLS = tuple(Cell(q, k) for q in FACTORS for k in FACTORS)
+CORNERS = tuple(Cell(q, k) for q in (FACTORS[0], FACTORS[-1]) for k in (FACTORS[0], FACTORS[-1]))
+
+
+def starts(
+    recording: Recording,
+    process_noise: FloatArray,
+    measurement_noise: FloatArray,
+    cells: Sequence[Cell],
+    rng: np.random.Generator,
+) -> Start:
+    """Return starts `(cells, n)`, one for each cell and run.
+
+    The pose is the true one plus N(0, P0), with P0 the true R of x, y and yaw: the first fix of
+    a robot that was just switched on. Every cell is told this P0 and starts at the same pose, so
+    that cells differ in nothing but Q and R.
+
+    Args:
+        recording: of n robots.
+        process_noise: `(2,)` the Q that a factor of 1 stands for (m^2, rad^2).
+        measurement_noise: `(4,)` the R that a factor of 1 stands for, rows as in `Row`.
+        cells: how wrong.
+        rng: source of the error of the first pose.
+    """
+    variance = measurement_noise[:3]
+    first = recording.truth[0]
+    mean = first + np.sqrt(variance) * rng.standard_normal(first.shape)
+    mean[:, 2] = wrap_angle(mean[:, 2])
+    batch = (len(cells), len(first))
+    q, k = (np.array(factor)[:, None, None] for factor in zip(*cells, strict=True))
+    return Start(
+        mean=np.broadcast_to(mean, (*batch, 3)),
+        covariance=np.broadcast_to(np.diag(variance), (*batch, 3, 3)),
+        process_noise=np.broadcast_to(q * process_noise, (*batch, 2)),
+        measurement_noise=np.broadcast_to(k * measurement_noise, (*batch, 4)),
+    )

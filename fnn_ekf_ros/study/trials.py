@@ -1,0 +1,144 @@
+"""A trial: recordings, starts and the oracle, on which any filter can be scored."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.study.filters import StudyFilter
+from fnn_ekf_ros.study.recording import Recording, Start
+from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Scenario, event_steps, record
+from fnn_ekf_ros.study.scores import Errors, Score, compare, rms_over_runs, score
+from fnn_ekf_ros.study.starts import RIGHT, Cell, starts
+
+CELLS_AT_ONCE = 5
+"""So many cells of a hundred runs go through a filter as one batch: more fall out of the cache
+and are slower, fewer pay for Python."""
+
+
+class Size(NamedTuple):
+    """How large a study is.
+
+    Attributes:
+        steps: T, periods of 375 ms.
+        runs: n, recordings that differ in what is random.
+        seed: of everything random.
+    """
+
+    steps: int
+    runs: int
+    seed: int
+
+
+class Trial(NamedTuple):
+    """What all filters are tried on.
+
+    Attributes:
+        name: of the simulation or the case.
+        recording: of n robots.
+        cells: how wrong the starts are.
+        start: `(cells, n)`.
+        ranges: steps that are scored, by name.
+        oracle: errors `(T, n)` of the EKF that knows the true noise of each step.
+    """
+
+    name: str
+    recording: Recording
+    cells: tuple[Cell, ...]
+    start: Start
+    ranges: Mapping[str, slice]
+    oracle: Errors
+
+
+class Outcome(NamedTuple):
+    """What became of a filter in a trial.
+
+    Attributes:
+        trial: the trial's name.
+        filter: the filter's name.
+        cells: of the scores; the oracle knows no wrong start and has one cell.
+        scores: by range, each with the leading dimension `(cells,)`.
+        rms: `(T, cells, 3)` root mean square error over the runs (m, m, rad).
+        first_run: `(T, cells, 3)` poses of the first run (m, m, rad).
+        first_truth: `(T, 3)` where that robot was.
+    """
+
+    trial: str
+    filter: str
+    cells: tuple[Cell, ...]
+    scores: Mapping[str, Score]
+    rms: FloatArray
+    first_run: FloatArray
+    first_truth: FloatArray
+
+
+def halves(steps: int) -> dict[str, slice]:
+    """Return the ranges of a run in which nothing happens."""
+    return {"whole": slice(0, steps), "last half": slice(steps // 2, steps)}
+
+
+def around_event(steps: int) -> dict[str, slice]:
+    """Return the ranges of a run in which something does; after it, for as long as it lasted."""
+    event = event_steps(steps)
+    after = slice(event.stop, 2 * event.stop - event.start)
+    return {"whole": slice(0, steps), "during": event, "after": after}
+
+
+def make_trial(
+    name: str,
+    robot: FakeRobotParameters,
+    scenario: Scenario,
+    cells: Sequence[Cell],
+    ranges: Mapping[str, slice],
+    size: Size,
+    oracle: StudyFilter,
+) -> Trial:
+    """Return a trial. With the same seed, trials differ in nothing but what they are about.
+
+    Args:
+        name: of the trial.
+        robot: the robot; a factor of 1 stands for its slip.
+        scenario: what goes wrong.
+        cells: how wrong the starts are.
+        ranges: steps that are scored.
+        size: of the trial.
+        oracle: the filter that knows the true noise.
+    """
+    record_rng, start_rng = np.random.default_rng(size.seed).spawn(2)
+    recording = record(robot, scenario, size.steps, size.runs, record_rng)
+    Q = np.square(robot.slip())
+    start = starts(recording, Q, NOMINAL_MEASUREMENT_NOISE, cells, start_rng)
+    known = Start(*(array[0] for array in start))
+    errors = compare(oracle.run(recording, known), recording.truth)
+    return Trial(name, recording, tuple(cells), start, ranges, errors)
+
+
+def try_filter(trial: Trial, study_filter: StudyFilter) -> Outcome:
+    """Run a filter from every start of a trial and score it."""
+    truth = trial.recording.truth
+    parts = []
+    for first in range(0, len(trial.cells), CELLS_AT_ONCE):
+        some = Start(*(array[first : first + CELLS_AT_ONCE] for array in trial.start))
+        parts.append(compare(study_filter.run(trial.recording, some), truth))
+    errors = Errors(*(np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True)))
+    return _outcome(trial, study_filter.name, trial.cells, errors)
+
+
+def oracle_outcome(trial: Trial, oracle: StudyFilter) -> Outcome:
+    """Return what became of the oracle."""
+    errors = Errors(*(array[:, None] for array in trial.oracle))
+    return _outcome(trial, oracle.name, (RIGHT,), errors)
+
+
+def _outcome(trial: Trial, name: str, cells: tuple[Cell, ...], errors: Errors) -> Outcome:
+    return Outcome(
+        trial=trial.name,
+        filter=name,
+        cells=cells,
+        scores={label: score(errors, trial.oracle, steps) for label, steps in trial.ranges.items()},
+        rms=rms_over_runs(errors),
+        first_run=errors.error[:, :, 0] + trial.recording.truth[1:, None, 0],
+        first_truth=trial.recording.truth[1:, 0],
+    )

@@ -1,0 +1,196 @@
+"""`study paper|grid|dynamic`: Monte Carlo runs through every filter; tables, figures, JSON."""
+
+import argparse
+import importlib.metadata
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.fake_robot import NODE_NAME as FAKE_ROBOT
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.files import render_parameter_file
+from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.study import dynamic, grid, paper
+from fnn_ekf_ros.study.filters import DEAD_RECKONING, ORACLE, StudyFilter, study_filters
+from fnn_ekf_ros.study.trials import Outcome, Size, Trial, oracle_outcome, try_filter
+from fnn_ekf_ros.text_files import write_text
+from fnn_ekf_ros.tools import study_figures, study_paper_figures, study_tables
+from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
+from fnn_ekf_ros.tools.progress import with_progress
+from fnn_ekf_ros.tools.simulate import matching_localizer
+
+SET_BY_STUDY = {
+    "wheel_radius", "wheel_separation", "gear_ratio", "encoder_counts_per_revolution", "period",
+    "process_noise_std", "measurement_noise_std", "lrf_yaw_std", "adaptation", "membership_file",
+}  # fmt: skip
+"""What the recordings, the starts and the filters' names decide."""
+MOST = {"runs": 10_000, "steps": 100_000, "seed": 2**63 - 1}
+FEWEST = {"runs": 2, "steps": 10, "seed": 0}
+"""One run has no confidence interval."""
+
+
+class Study(NamedTuple):
+    """A study.
+
+    Attributes:
+        summary: what it does.
+        paths: of the fake robot, whose settings are written down.
+        trial_count: how many.
+        trials: yields them.
+        tables: the results in Markdown.
+        figures: draws them into a folder.
+        with_dead_reckoning: whether that is among the filters when none are named.
+    """
+
+    summary: str
+    paths: tuple[str, ...]
+    trial_count: int
+    trials: Callable[[Size, StudyFilter], Iterator[Trial]]
+    tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
+    figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
+    with_dead_reckoning: bool = False
+
+
+STUDIES = {
+    "paper": Study(
+        "the paper's simulations and experiment, with its figures",
+        tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
+        study_tables.paper_tables, study_paper_figures.draw_paper, with_dead_reckoning=True,
+    ),
+    "grid": Study(
+        "both simulations from 25 starts with wrong noise",
+        tuple(grid.SIMULATIONS), len(grid.SIMULATIONS), grid.trials,
+        study_tables.grid_tables, study_figures.draw_grid,
+    ),
+    "dynamic": Study(
+        "noise that changes, and errors that are no white noise",
+        (dynamic.PATH,), len(dynamic.CASES), dynamic.trials,
+        study_tables.dynamic_tables, study_figures.draw_dynamic,
+    ),
+}  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    names = parser.add_subparsers(metavar="STUDY", required=True)
+    for name, study in STUDIES.items():
+        own = names.add_parser(name, help=study.summary, description=study.summary)
+        own.set_defaults(study=name)
+        own.add_argument(
+            "--out", metavar="DIR", type=Path, required=True,
+            help="folder for tables, figures and settings; files of the same name are replaced",
+        )  # fmt: skip
+        own.add_argument("--runs", metavar="N", type=int, default=100, help="recordings (100)")
+        own.add_argument(
+            "--steps", metavar="N", type=int, default=800, help="periods of 375 ms (800)"
+        )
+        own.add_argument("--seed", metavar="S", type=int, default=1, help="of everything (1)")
+        own.add_argument(
+            "--filters", metavar="A,B", help="filters beside the oracle, by name (all)"
+        )
+        own.add_argument(
+            "--json", metavar="FILE", type=Path, help="write the numbers here (DIR/results.json)"
+        )
+        add_parameter_arguments(own)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    study = STUDIES[arguments.study]
+    for name, fewest in FEWEST.items():
+        value = getattr(arguments, name)
+        if not fewest <= value <= MOST[name]:
+            raise FnnEkfError(f"--{name} {value}: expected {fewest} to {MOST[name]}")
+    size = Size(arguments.steps, arguments.runs, arguments.seed)
+    given = given_parameters(arguments, LOCALIZER)
+    known = study_filters(_localizer(study.paths[0], given))
+    names = _chosen(arguments.filters, known, study)
+    study_figures.require_matplotlib()
+    out = _folder(arguments.out)
+
+    trials = study.trials(size, known[ORACLE])
+    filters = [known[name] for name in names]
+    total = study.trial_count * (1 + len(filters))
+    outcomes = list(
+        with_progress(_outcomes(trials, known[ORACLE], filters), total, f"study {arguments.study}")
+    )
+    labels = {name: each.label for name, each in known.items()}
+    effective = {
+        "study": arguments.study, "version": _version(), "runs": size.runs, "steps": size.steps,
+        "seed": size.seed, "filters": names, "parameters": given,
+    }  # fmt: skip
+    results = {**effective, "results": study_tables.rows(outcomes)}
+    write_text(
+        arguments.json or out / "results.json",
+        json.dumps(results, indent=1, allow_nan=False) + "\n",
+    )
+    head = study_tables.head(effective)
+    write_text(out / "results.md", head + study.tables(outcomes, labels))
+    for path in study.paths:
+        _write_settings(out, path, given)
+    study.figures(out, outcomes, labels)
+    print(f"{out}: {study.trial_count} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
+    return 0
+
+
+def _outcomes(
+    trials: Iterator[Trial], oracle: StudyFilter, filters: Sequence[StudyFilter]
+) -> Iterator[Outcome]:
+    for trial in trials:
+        yield oracle_outcome(trial, oracle)
+        for each in filters:
+            yield try_filter(trial, each)
+
+
+def _chosen(words: str | None, known: dict[str, StudyFilter], study: Study) -> list[str]:
+    """Return the names of the filters to try, in the order they are known in."""
+    possible = [name for name in known if name != ORACLE]
+    if words is None:
+        return [name for name in possible if study.with_dead_reckoning or name != DEAD_RECKONING]
+    chosen = [word.strip() for word in words.split(",")]
+    for word in chosen:
+        if word not in possible:
+            raise FnnEkfError(f"--filters {word}: expected some of {', '.join(possible)}")
+    return [name for name in possible if name in chosen]
+
+
+def _localizer(path: str, given: dict[str, Any]) -> LocalizerParameters:
+    """Return the localizer's parameters for a robot that drives a path; its noise is the truth."""
+    refused = sorted(SET_BY_STUDY & given.keys())
+    if refused:
+        raise FnnEkfError(f"parameter '{refused[0]}': the study itself decides on it")
+    matching = matching_localizer(FakeRobotParameters(path=path))
+    return build(LocalizerParameters, asdict(matching) | given)
+
+
+def _folder(path: Path) -> Path:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FnnEkfError(f"--out '{path}': {error.strerror}") from None
+    return path
+
+
+def _write_settings(out: Path, path: str, given: dict[str, Any]) -> None:
+    """Write what a robot is and what a filter with the right start is told of it."""
+    robot, localizer = FakeRobotParameters(path=path), _localizer(path, given)
+    write_text(
+        out / f"fake_robot_{path}.yaml",
+        render_parameter_file(FakeRobotParameters, asdict(robot), FAKE_ROBOT),
+    )
+    write_text(
+        out / f"localizer_{path}.yaml",
+        render_parameter_file(LocalizerParameters, asdict(localizer), LOCALIZER),
+    )
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("fnn_ekf_ros")
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,224 @@
+"""Pictures of the studies; needs matplotlib. Colours are Okabe and Ito's, told apart by all."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.study import dynamic, grid
+from fnn_ekf_ros.study.filters import ORACLE
+from fnn_ekf_ros.study.scenarios import event_steps
+from fnn_ekf_ros.study.starts import FACTORS, Cell
+from fnn_ekf_ros.study.trials import Outcome
+from fnn_ekf_ros.tools.study_tables import Labels, factor_words, start_words
+
+DPI = 110
+SMOOTHED_STEPS = 8
+"""RMS errors over time are drawn as the RMS over so many steps, 3 s."""
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+_STYLES: dict[str, tuple[str, str]] = {
+    ORACLE: ("#000000", ":"),
+    "dead_reckoning": ("#999999", "-."),
+    "ekf": ("#E69F00", "-"),
+    "r_published": ("#0072B2", "-"),
+    "q_published": ("#0072B2", "--"),
+    "r_trained": ("#56B4E9", "-"),
+    "q_trained": ("#56B4E9", "--"),
+    "joint": ("#D55E00", "-"),
+    "innovation_based": ("#009E73", "-"),
+    "sage_husa": ("#009E73", "--"),
+    "variational_bayes": ("#CC79A7", "-"),
+    "multiple_model": ("#CC79A7", "--"),
+}
+
+
+def require_matplotlib() -> None:
+    """Check that pictures can be made.
+
+    Raises:
+        FnnEkfError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise FnnEkfError("pictures need matplotlib: install it, or fnn_ekf_ros[tools]") from None
+    del Figure
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure of a size [inch]."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Any, path: Path) -> None:
+    """Write a figure as a PNG, completely or not at all.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
+        partial.replace(path)
+    except OSError as error:
+        raise FnnEkfError(f"'{path}' cannot be written: {error.strerror}") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def line_style(name: str, labels: Labels) -> dict[str, Any]:
+    """Return how a filter's curves look, the same in every figure."""
+    color, dashes = _STYLES[name]
+    width = 2.2 if name == ORACLE else 1.4
+    return {"color": color, "ls": dashes, "lw": width, "label": labels[name]}
+
+
+class _HeatMap(NamedTuple):
+    """A quantity of the 25 starts.
+
+    Attributes:
+        word: for the file's name.
+        title: for the reader.
+        colors: name of the colour map.
+        ticks: of the logarithmic colour bar, which goes from the first to the last.
+    """
+
+    word: str
+    title: str
+    colors: str
+    ticks: tuple[float, ...]
+
+    def values(self, outcome: Outcome, name: str) -> FloatArray:
+        """Return the values `(5, 5)`, q by k."""
+        score = outcome.scores[name]
+        found = np.max(score.ratio.value, axis=-1) if self.word == "ratio" else score.nees.value
+        where = outcome.cells.index
+        return np.array([[found[where(Cell(q, k))] for k in FACTORS] for q in FACTORS])
+
+
+_HEAT_MAPS = (
+    _HeatMap(
+        "ratio",
+        "RMSE as a ratio to the oracle's, worst of x, y, theta",
+        "YlOrBr",
+        (1.0, 1.2, 1.5, 2.0, 3.0, 4.0),
+    ),
+    _HeatMap(
+        "nees",
+        "mean NEES; 3 where the covariance is honest, more where it is too small",
+        "PuOr_r",
+        (0.3, 1.0, 3.0, 9.0, 30.0),
+    ),
+)
+
+
+def draw_grid(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None:
+    """Draw heat maps of ratio and NEES: a picture for each simulation and range."""
+    for trial, title in grid.SIMULATIONS.items():
+        tried = [o for o in outcomes if o.trial == trial and o.filter != ORACLE]
+        for name in tried[0].scores:
+            for kind in _HEAT_MAPS:
+                file = f"grid_{trial}_{name.replace(' ', '_')}_{kind.word}.png"
+                heading = f"{kind.title}\n{title}, {name} run"
+                save(_heat_maps(kind, heading, tried, name, labels), out / file)
+
+
+def _heat_maps(
+    kind: _HeatMap, heading: str, tried: Sequence[Outcome], name: str, labels: Labels
+) -> Any:
+    from matplotlib.colors import LogNorm
+
+    columns = min(len(tried), 4)
+    lines = -(-len(tried) // columns)
+    figure = new_figure(1.2 + 2.9 * columns, 1.2 + 2.9 * lines)
+    panels = figure.subplots(lines, columns, squeeze=False)
+    norm = LogNorm(kind.ticks[0], kind.ticks[-1])
+    image = None
+    for panel, outcome in zip(panels.flat, tried, strict=False):
+        values = kind.values(outcome, name)
+        image = panel.imshow(values, origin="lower", cmap=kind.colors, norm=norm)
+        for (row, column), value in np.ndenumerate(values):
+            dark = np.dot(image.cmap(norm(value))[:3], _LUMINANCE) < 0.5
+            panel.text(
+                column, row, f"{value:.2f}" if value < 9.995 else f"{value:.3g}",
+                ha="center", va="center", fontsize=8, color="white" if dark else "black",
+            )  # fmt: skip
+        words = [factor_words(factor) for factor in FACTORS]
+        panel.set_xticks(range(len(FACTORS)), words)
+        panel.set_yticks(range(len(FACTORS)), words)
+        panel.set_title(labels[outcome.filter], fontsize=10)
+    for panel in panels.flat[len(tried) :]:
+        panel.set_visible(False)
+    figure.supxlabel("k: assumed / true variance of R")
+    figure.supylabel("q: assumed / true variance of Q")
+    figure.suptitle(heading, fontsize=11)
+    bar = figure.colorbar(image, ax=panels, shrink=0.8, extend="both")
+    bar.set_ticks(kind.ticks, labels=[f"{tick:g}" for tick in kind.ticks])
+    bar.minorticks_off()
+    return figure
+
+
+def draw_dynamic(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None:
+    """Draw position and heading errors over time, for each case one picture with all starts."""
+    for trial, case in dynamic.CASES.items():
+        tried = [outcome for outcome in outcomes if outcome.trial == trial]
+        for word, unit in (("position", "m"), ("heading", "deg")):
+            heading = f"RMS {word} error over the runs: {case.about}"
+            figure = _errors_over_time(tried, word, unit, labels, case.has_event)
+            figure.suptitle(heading, fontsize=12)
+            save(figure, out / f"dynamic_{trial}_{word}.png")
+
+
+def _errors_over_time(
+    tried: Sequence[Outcome], word: str, unit: str, labels: Labels, has_event: bool
+) -> Any:
+    figure = new_figure(13.0, 7.5)
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    legend = panels.flat[5]
+    steps = len(tried[0].rms)
+    time = NOMINAL_PERIOD_S * np.arange(1, steps + 1)
+    event = event_steps(steps)
+    for panel, cell in zip(panels.flat, dynamic.STARTS, strict=False):
+        for outcome in tried:
+            index = outcome.cells.index(cell) if cell in outcome.cells else 0
+            rms = smoothed(axis_error(outcome.rms[:, index], word))
+            panel.plot(time, rms, **line_style(outcome.filter, labels))
+        if has_event:
+            begin, end = (NOMINAL_PERIOD_S * step for step in (event.start, event.stop))
+            panel.axvspan(begin, end, color="#000000", alpha=0.08, lw=0)
+        panel.set(title=start_words(cell), yscale="log")
+        panel.grid(visible=True, which="both", alpha=0.25)
+    for panel in panels[:, 0]:
+        panel.set_ylabel(f"{word} [{unit}]")
+    for panel in (*panels[1, :2], panels[0, 2]):
+        panel.set_xlabel("time [s]")
+        panel.tick_params(labelbottom=True)
+    legend.axis("off")
+    legend.legend(*panels.flat[0].get_legend_handles_labels(), loc="center", frameon=False)
+    return figure
+
+
+def axis_error(rms: FloatArray, word: str) -> FloatArray:
+    """Return the RMS error `(T,)` of `(T, 3)`: position or x or y [m], heading [deg]."""
+    if word == "position":
+        return np.asarray(np.hypot(rms[:, 0], rms[:, 1]))
+    index: Mapping[str, int] = {"x": 0, "y": 1, "heading": 2}
+    return rms[:, index[word]] * (180.0 / np.pi if word == "heading" else 1.0)
+
+
+def smoothed(rms: FloatArray) -> FloatArray:
+    """Return the RMS of the last `SMOOTHED_STEPS`, of fewer at the begin; `(T,)` of `(T,)`."""
+    sums = np.concatenate([[0.0], np.cumsum(rms**2)])
+    after = np.arange(1, len(sums))
+    first = np.maximum(after - SMOOTHED_STEPS, 0)
+    return np.asarray(np.sqrt((sums[after] - sums[first]) / (after - first)))

@@ -1,0 +1,228 @@
+"""Results of the studies as Markdown and as rows for JSON."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.study import dynamic, grid, paper
+from fnn_ekf_ros.study.intervals import Interval
+from fnn_ekf_ros.study.scores import LOST_FACTOR, Score
+from fnn_ekf_ros.study.starts import FACTORS, RIGHT, Cell
+from fnn_ekf_ros.study.trials import Outcome
+
+Labels = Mapping[str, str]
+"""What a filter is called, by name."""
+AXES = ("x", "y", "theta")
+HOW_TO_READ = f"""\
+q, k: variance of Q and of R that the filter is told at the start, over the true one. RMSE: mean
+over the runs of each run's. Ratio: RMSE of all runs over that of the oracle, an EKF that is told
+the true Q and R of each step; x / y / theta. NEES: 3 where the covariance is honest; inside: share
+of the steps at which its mean over the runs lies in the 95 % chi-square band. NIS: per degree of
+freedom, 1 where innovations are as large as expected. Diverged: share of the runs whose position
+was once off by more than {LOST_FACTOR:g} times the oracle's RMSE. In brackets: 95 % confidence
+intervals over the runs.
+"""
+
+
+def head(effective: Mapping[str, Any]) -> str:
+    """Return the first lines of a table: how it was made and how it is read."""
+    given = "".join(f" -p {name}:={value}" for name, value in effective["parameters"].items())
+    return (
+        f"# study {effective['study']}\n\n"
+        f"fnn_ekf_ros {effective['version']}: `study {effective['study']} --runs "
+        f"{effective['runs']} --steps {effective['steps']} --seed {effective['seed']} "
+        f"--filters {','.join(effective['filters'])}{given}`\n\n{HOW_TO_READ}"
+    )
+
+
+def rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Return one row for each trial, filter, start and range; null where there is no number.
+
+    Intervals are [value, low, high]; RMSE in m, m, rad.
+    """
+    found = []
+    for outcome in outcomes:
+        for index, cell in enumerate(outcome.cells):
+            for name, score in outcome.scores.items():
+                row: dict[str, Any] = {
+                    "trial": outcome.trial, "filter": outcome.filter,
+                    "q": cell.q, "k": cell.k, "range": name,
+                }  # fmt: skip
+                for axis, word in enumerate(AXES):
+                    row[f"rmse_{word}"] = _plain_interval(score.rmse, (index, axis))
+                    row[f"ratio_{word}"] = _plain_interval(score.ratio, (index, axis))
+                row["nees"] = _plain_interval(score.nees, (index,))
+                row["nees_inside"] = _plain(score.nees_inside[index])
+                row["nees_band"] = list(score.nees_band)
+                row["nis_per_dof"] = _plain(score.nis[index])
+                row["nis_band"] = [_plain(end) for end in score.nis_band[index]]
+                row["diverged"] = _plain(score.diverged[index])
+                found.append(row)
+    return found
+
+
+def paper_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
+    """Return one table for each trial, start and range; then which figure shows what."""
+    parts = []
+    for trial, title in paper.TRIALS.items():
+        for cell in paper.STARTS:
+            for name in _ranges(outcomes):
+                parts.append(f"## {title[0].upper()}{title[1:]}, {start_words(cell)}, {name} run\n")
+                parts.append(
+                    _table(
+                        ["filter", "RMSE x [m]", "RMSE y [m]", "RMSE theta [rad]", "ratio",
+                         "NEES", "inside", "NIS", "diverged"],
+                        [
+                            [labels[outcome.filter], *_paper_row(outcome.scores[name], index)]
+                            for outcome, index in _at(outcomes, trial, cell)
+                        ],
+                    )
+                )  # fmt: skip
+    return "\n".join(["", *parts])
+
+
+def grid_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
+    """Return for each simulation and range a summary, and all 25 starts of each filter."""
+    parts = []
+    for trial, title in grid.SIMULATIONS.items():
+        tried = [o for o in outcomes if o.trial == trial and len(o.cells) > 1]
+        for name in _ranges(outcomes):
+            parts.append(f"## {title[0].upper()}{title[1:]}, {name} run: all starts\n")
+            parts.append(
+                _table(
+                    ["filter", "right start", "worst start", "its worst axis", "its q, k",
+                     "mean of the worst axis", "NEES", "diverged"],
+                    [[labels[o.filter], *_grid_row(o, name)] for o in tried],
+                )
+            )  # fmt: skip
+        for outcome in tried:
+            for name, score in outcome.scores.items():
+                parts.append(f"### {labels[outcome.filter]}, {title}, {name} run: ratio\n")
+                cells = [
+                    [_ratios(score, outcome.cells.index(Cell(q, k))) for k in FACTORS]
+                    for q in FACTORS
+                ]
+                parts.append(
+                    _table(
+                        ["", *(f"k = {factor_words(k)}" for k in FACTORS)],
+                        [
+                            [f"q = {factor_words(q)}", *texts]
+                            for q, texts in zip(FACTORS, cells, strict=True)
+                        ],
+                    )
+                )
+    return "\n".join(["", *parts])
+
+
+def dynamic_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
+    """Return a table for each case: right start and the worst of the wrong ones, by range."""
+    parts = []
+    ranges = _ranges(outcomes)
+    columns = [text for name in ranges for text in (f"ratio {name}", f"NEES {name}", "diverged")]
+    for trial, case in dynamic.CASES.items():
+        when = " during the event" if case.has_event else ""
+        parts.append(f"## {trial}: {case.about}{when}\n")
+        lines = []
+        for outcome in outcomes:
+            if outcome.trial != trial:
+                continue
+            wrong = [index for index, cell in enumerate(outcome.cells) if cell != RIGHT]
+            worst = np.max(outcome.scores["whole"].ratio.value, axis=-1)
+            indices = [outcome.cells.index(RIGHT)]
+            indices += [max(wrong, key=lambda index: _or_infinite(worst[index]))] if wrong else []
+            for index in indices:
+                start = start_words(outcome.cells[index])
+                texts = [t for name in ranges for t in _brief(outcome.scores[name], index)]
+                lines.append([labels[outcome.filter], start, *texts])
+        parts.append(_table(["filter", "start", *columns], lines))
+    return "\n".join(["", *parts])
+
+
+def factor_words(factor: float) -> str:
+    """Return a factor as a reader would write it."""
+    return f"{factor:g}" if factor >= 1.0 else f"1/{1.0 / factor:g}"
+
+
+def start_words(cell: Cell) -> str:
+    """Return a start in words."""
+    if cell == RIGHT:
+        return "right start"
+    return f"q = {factor_words(cell.q)}, k = {factor_words(cell.k)}"
+
+
+def _at(outcomes: Sequence[Outcome], trial: str, cell: Cell) -> Iterator[tuple[Outcome, int]]:
+    """Yield the outcomes of a trial with the index of a start; the oracle's at any start."""
+    for outcome in outcomes:
+        if outcome.trial == trial:
+            yield outcome, outcome.cells.index(cell) if cell in outcome.cells else 0
+
+
+def _ranges(outcomes: Sequence[Outcome]) -> list[str]:
+    return list(outcomes[0].scores)
+
+
+def _paper_row(score: Score, index: int) -> list[str]:
+    rmse = [
+        f"{value:.4f} ({low:.4f}-{high:.4f})"
+        for value, low, high in zip(*(end[index] for end in score.rmse), strict=True)
+    ]
+    nees = "{:.2f} ({:.2f}-{:.2f})".format(*(end[index] for end in score.nees))
+    return [
+        *rmse, _ratios(score, index), nees, f"{score.nees_inside[index]:.0%}",
+        _number(score.nis[index]), f"{score.diverged[index]:.0%}",
+    ]  # fmt: skip
+
+
+def _grid_row(outcome: Outcome, name: str) -> list[str]:
+    score = outcome.scores[name]
+    worst = np.max(score.ratio.value, axis=-1)
+    where = int(np.argmax(np.where(np.isfinite(worst), worst, np.inf)))
+    axis = int(np.argmax(score.ratio.value[where]))
+    low, high = score.ratio.low[where, axis], score.ratio.high[where, axis]
+    cell = outcome.cells[where]
+    return [
+        _ratios(score, outcome.cells.index(RIGHT)),
+        _ratios(score, where),
+        f"{worst[where]:.2f} ({low:.2f}-{high:.2f})",
+        f"{factor_words(cell.q)}, {factor_words(cell.k)}",
+        _number(np.mean(worst)),
+        f"{np.min(score.nees.value):.2f} - {np.max(score.nees.value):.2f}",
+        f"{np.max(score.diverged):.0%}",
+    ]
+
+
+def _brief(score: Score, index: int) -> list[str]:
+    return [
+        _ratios(score, index), _number(score.nees.value[index]), f"{score.diverged[index]:.0%}",
+    ]  # fmt: skip
+
+
+def _ratios(score: Score, index: int) -> str:
+    return " / ".join(_number(value) for value in score.ratio.value[index])
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        return "n/a"
+    return f"{value:.2f}" if value < 100.0 else f"{value:.3g}"
+
+
+def _or_infinite(value: float) -> float:
+    return value if math.isfinite(value) else math.inf
+
+
+def _plain(value: float | FloatArray) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def _plain_interval(interval: Interval, index: tuple[int, ...]) -> list[float | None]:
+    return [_plain(end[index]) for end in interval]
+
+
+def _table(names: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    texts = [names, ["---"] * len(names), *lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in texts) + "\n"
