@@ -1,7 +1,8 @@
 """The paper's own trials: both simulations and the experiment's round path.
 
 From the right start, and with R assumed 25 times its true variance. The paper does not say how
-wrong its own start was; where it is right, no adaptive filter can beat the EKF.
+wrong its own start was; where it is right, no adaptive filter can beat the EKF. The command runs
+the filters on the paper's motion model (eq. 4), the oracle too.
 """
 
 from collections.abc import Iterator

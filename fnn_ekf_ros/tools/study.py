@@ -3,9 +3,11 @@
 import argparse
 import importlib.metadata
 import json
-from collections.abc import Callable, Iterator, Sequence
+import subprocess
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError
@@ -27,6 +29,7 @@ from fnn_ekf_ros.tools.simulate import matching_localizer
 SET_BY_STUDY = {
     "wheel_radius", "wheel_separation", "gear_ratio", "encoder_counts_per_revolution", "period",
     "process_noise_std", "measurement_noise_std", "lrf_yaw_std", "adaptation", "membership_file",
+    "initial_pose", "initial_pose_std",
 }  # fmt: skip
 """What the recordings, the starts and the filters' names decide."""
 MOST = {"runs": 10_000, "steps": 100_000, "seed": 2**63 - 1}
@@ -45,6 +48,7 @@ class Study(NamedTuple):
         tables: the results in Markdown.
         figures: draws them into a folder.
         with_dead_reckoning: whether that is among the filters when none are named.
+        defaults: parameters of the filters that differ from the localizer's.
     """
 
     summary: str
@@ -54,13 +58,20 @@ class Study(NamedTuple):
     tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
     figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
     with_dead_reckoning: bool = False
+    defaults: Mapping[str, Any] = MappingProxyType({})
+
+
+def _paper_tables(outcomes: Sequence[Outcome], labels: study_tables.Labels) -> str:
+    tables = study_tables.paper_tables(outcomes, labels)
+    return f"{tables}\n## Figures\n\n{study_paper_figures.figure_table()}"
 
 
 STUDIES = {
     "paper": Study(
         "the paper's simulations and experiment, with its figures",
         tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
-        study_tables.paper_tables, study_paper_figures.draw_paper, with_dead_reckoning=True,
+        _paper_tables, study_paper_figures.draw_paper, with_dead_reckoning=True,
+        defaults=MappingProxyType({"motion_model": "paper"}),
     ),
     "grid": Study(
         "both simulations from 25 starts with wrong noise",
@@ -102,40 +113,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     study = STUDIES[arguments.study]
+    size = _size(arguments)
+    given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}
+    filters = study_filters(_localizer(study.paths[0], given))
+    names = _chosen(arguments.filters, filters, study)
+    study_figures.require_matplotlib()
+    out = arguments.out
+    numbers = arguments.json or out / "results.json"
+    if numbers.parent != out and not numbers.parent.is_dir():
+        raise FnnEkfError(f"--json '{numbers}': there is no folder '{numbers.parent}'")
+    _make_folder(out)
+    for path in study.paths:
+        _write_settings(out, path, given)
+
+    oracle = filters[ORACLE]
+    tried = _outcomes(study.trials(size, oracle), oracle, [filters[name] for name in names])
+    total = study.trial_count * (1 + len(names))
+    outcomes = list(with_progress(tried, total, f"study {arguments.study}"))
+
+    labels = {name: each.label for name, each in filters.items()}
+    made_by = {
+        "study": arguments.study, "version": _version(), **size._asdict(), "filters": names,
+        "parameters": given,
+    }  # fmt: skip
+    content = {**made_by, "results": study_tables.rows(outcomes)}
+    write_text(numbers, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_text(out / "results.md", study_tables.head(made_by) + study.tables(outcomes, labels))
+    study.figures(out, outcomes, labels)
+    print(f"{out}: {study.trial_count} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
+    return 0
+
+
+def _size(arguments: argparse.Namespace) -> Size:
     for name, fewest in FEWEST.items():
         value = getattr(arguments, name)
         if not fewest <= value <= MOST[name]:
             raise FnnEkfError(f"--{name} {value}: expected {fewest} to {MOST[name]}")
-    size = Size(arguments.steps, arguments.runs, arguments.seed)
-    given = given_parameters(arguments, LOCALIZER)
-    known = study_filters(_localizer(study.paths[0], given))
-    names = _chosen(arguments.filters, known, study)
-    study_figures.require_matplotlib()
-    out = _folder(arguments.out)
-
-    trials = study.trials(size, known[ORACLE])
-    filters = [known[name] for name in names]
-    total = study.trial_count * (1 + len(filters))
-    outcomes = list(
-        with_progress(_outcomes(trials, known[ORACLE], filters), total, f"study {arguments.study}")
-    )
-    labels = {name: each.label for name, each in known.items()}
-    effective = {
-        "study": arguments.study, "version": _version(), "runs": size.runs, "steps": size.steps,
-        "seed": size.seed, "filters": names, "parameters": given,
-    }  # fmt: skip
-    results = {**effective, "results": study_tables.rows(outcomes)}
-    write_text(
-        arguments.json or out / "results.json",
-        json.dumps(results, indent=1, allow_nan=False) + "\n",
-    )
-    head = study_tables.head(effective)
-    write_text(out / "results.md", head + study.tables(outcomes, labels))
-    for path in study.paths:
-        _write_settings(out, path, given)
-    study.figures(out, outcomes, labels)
-    print(f"{out}: {study.trial_count} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
-    return 0
+    return Size(arguments.steps, arguments.runs, arguments.seed)
 
 
 def _outcomes(
@@ -168,12 +182,11 @@ def _localizer(path: str, given: dict[str, Any]) -> LocalizerParameters:
     return build(LocalizerParameters, asdict(matching) | given)
 
 
-def _folder(path: Path) -> Path:
+def _make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FnnEkfError(f"--out '{path}': {error.strerror}") from None
-    return path
 
 
 def _write_settings(out: Path, path: str, given: dict[str, Any]) -> None:
@@ -190,7 +203,17 @@ def _write_settings(out: Path, path: str, given: dict[str, Any]) -> None:
 
 
 def _version() -> str:
+    """Return the version; in a clone the commit too."""
     try:
-        return importlib.metadata.version("fnn_ekf_ros")
+        version = importlib.metadata.version("fnn_ekf_ros")
     except importlib.metadata.PackageNotFoundError:
-        return "not installed"
+        version = "not installed"
+    clone = Path(__file__).resolve().parents[2]
+    if not (clone / ".git").exists():
+        return version
+    command = ["git", "-C", str(clone), "describe", "--always", "--dirty"]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    except (OSError, subprocess.CalledProcessError):
+        return version
+    return f"{version}, commit {said.stdout.strip()}"

@@ -20,6 +20,7 @@ from fnn_ekf_ros.tools.study_tables import Labels, factor_words, start_words
 DPI = 110
 SMOOTHED_STEPS = 8
 """RMS errors over time are drawn as the RMS over so many steps, 3 s."""
+START_NOTE = "q, k: variance of Q, R that the filter is told at the start, over the true one"
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 _STYLES: dict[str, tuple[str, str]] = {
     ORACLE: ("#000000", ":"),
@@ -50,12 +51,12 @@ def require_matplotlib() -> None:
     del Figure
 
 
-def new_figure(width: float, height: float) -> Any:
-    """Return an empty figure of a size [inch]."""
+def new_figure(width: float, height: float, fixed_aspect: bool = False) -> Any:
+    """Return an empty figure of a size [inch], for panels of fixed aspect or of any."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), layout="compressed" if fixed_aspect else "constrained")
     FigureCanvasAgg(figure)
     return figure
 
@@ -81,6 +82,17 @@ def line_style(name: str, labels: Labels) -> dict[str, Any]:
     color, dashes = _STYLES[name]
     width = 2.2 if name == ORACLE else 1.4
     return {"color": color, "ls": dashes, "lw": width, "label": labels[name]}
+
+
+def logarithmic(panel: Any) -> None:
+    """Give a panel a logarithmic y axis with numbers that can be read."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+    panel.grid(visible=True, which="major", alpha=0.25)
 
 
 class _HeatMap(NamedTuple):
@@ -140,7 +152,7 @@ def _heat_maps(
 
     columns = min(len(tried), 4)
     lines = -(-len(tried) // columns)
-    figure = new_figure(1.2 + 2.9 * columns, 1.2 + 2.9 * lines)
+    figure = new_figure(1.5 + 2.9 * columns, 1.4 + 2.9 * lines, fixed_aspect=True)
     panels = figure.subplots(lines, columns, squeeze=False)
     norm = LogNorm(kind.ticks[0], kind.ticks[-1])
     image = None
@@ -173,7 +185,7 @@ def draw_dynamic(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None
     for trial, case in dynamic.CASES.items():
         tried = [outcome for outcome in outcomes if outcome.trial == trial]
         for word, unit in (("position", "m"), ("heading", "deg")):
-            heading = f"RMS {word} error over the runs: {case.about}"
+            heading = f"RMS {word} error over the runs: {case.about}\n{START_NOTE}"
             figure = _errors_over_time(tried, word, unit, labels, case.has_event)
             figure.suptitle(heading, fontsize=12)
             save(figure, out / f"dynamic_{trial}_{word}.png")
@@ -196,8 +208,8 @@ def _errors_over_time(
         if has_event:
             begin, end = (NOMINAL_PERIOD_S * step for step in (event.start, event.stop))
             panel.axvspan(begin, end, color="#000000", alpha=0.08, lw=0)
-        panel.set(title=start_words(cell), yscale="log")
-        panel.grid(visible=True, which="both", alpha=0.25)
+        panel.set(title=start_words(cell))
+        logarithmic(panel)
     for panel in panels[:, 0]:
         panel.set_ylabel(f"{word} [{unit}]")
     for panel in (*panels[1, :2], panels[0, 2]):

@@ -20,7 +20,15 @@ from fnn_ekf_ros.simulation.paths import SPACING, scripted_path
 from fnn_ekf_ros.study import paper
 from fnn_ekf_ros.study.filters import DEAD_RECKONING
 from fnn_ekf_ros.study.trials import Outcome
-from fnn_ekf_ros.tools.study_figures import axis_error, line_style, new_figure, save, smoothed
+from fnn_ekf_ros.tools.study_figures import (
+    START_NOTE,
+    axis_error,
+    line_style,
+    logarithmic,
+    new_figure,
+    save,
+    smoothed,
+)
 from fnn_ekf_ros.tools.study_tables import Labels, start_words
 
 ON_TRACKS = ("ekf", "r_published", "joint")
@@ -35,7 +43,7 @@ CORNERS = {
     20: ("last corner", (0.0, 4.0)),
 }
 """Figures of the experiment's corners: what is shown, and its middle [m]."""
-MEMBERSHIP_SPAN = 160.0
+MEMBERSHIP_SPAN = 220.0
 """Membership functions are drawn from minus to plus this [their unit]."""
 ERROR_AXES = {"x": ("x", "m"), "y": ("y", "m"), "theta": ("heading", "deg")}
 
@@ -117,14 +125,21 @@ def _membership(names: Sequence[str], _outcomes: Sequence[Outcome], _labels: Lab
         network = read_membership(name)
         _draw_antecedents(antecedents, network)
         _draw_consequents(consequents, network)
-        unit = f"{network.position_unit:g} m$^2$, {network.yaw_unit:g} rad$^2$"
-        antecedents.set(title=f"'{name}': D", xlabel=f"C_hat - S = -D [{unit}]")
-        consequents.set(title=f"'{name}': dR", xlabel=f"dR [{unit}]")
+        unit = _unit_words(network)
+        antecedents.set(title=f"mismatch D, set '{name}'", xlabel=rf"$\hat{{C}} - S = -D$ [{unit}]")
+        consequents.set(title=f"change of R, set '{name}'", xlabel=f"dR [{unit}]")
+        antecedents.legend(loc="center left", fontsize=9)
+        consequents.legend(loc="center right", fontsize=9)
     for panel in panels.flat:
         panel.set(ylabel="membership", ylim=(-0.04, 1.12))
         panel.grid(visible=True, alpha=0.25)
-        panel.legend(loc="center left", fontsize=9)
     return figure
+
+
+def _unit_words(network: FuzzyNetwork) -> str:
+    if (network.position_unit, network.yaw_unit) == (1e-6, 1e-6):
+        return "mm$^2$, mrad$^2$"
+    return f"{network.position_unit:g} m$^2$, {network.yaw_unit:g} rad$^2$"
 
 
 def _draw_antecedents(panel: Any, network: FuzzyNetwork) -> None:
@@ -171,7 +186,7 @@ def _tracks(
     """Draw the last lap of the first run, all of it or around a point."""
     tried = [o for o in outcomes if o.trial == trial and len(o.cells) > 1]
     drawn = [outcome for outcome in tried if outcome.filter in ON_TRACKS] or tried[:3]
-    figure = new_figure(12.0, 6.4)
+    figure = new_figure(12.0, 6.4, fixed_aspect=True)
     panels = figure.subplots(1, len(paper.STARTS), sharex=True, sharey=True)
     lap = _steps_of_lap(trial)
     for panel, cell in zip(panels, paper.STARTS, strict=True):
@@ -190,7 +205,7 @@ def _tracks(
             panel.set_ylim(middle[1] - ENLARGED_M, middle[1] + ENLARGED_M)
     panels[0].set_ylabel("y [m]")
     _legend_below(figure, panels[0])
-    figure.suptitle(f"{paper.TRIALS[trial]}, last lap of one run", fontsize=12)
+    figure.suptitle(f"{paper.TRIALS[trial]}, last lap of one run\n{START_NOTE}", fontsize=11)
     return figure
 
 
@@ -207,11 +222,12 @@ def _rmse(trial: str, axis: str, outcomes: Sequence[Outcome], labels: Labels) ->
             time = NOMINAL_PERIOD_S * np.arange(1, len(outcome.rms) + 1)
             rms = smoothed(axis_error(outcome.rms[:, index], word))
             panel.plot(time, rms, **line_style(outcome.filter, labels))
-        panel.set(title=start_words(cell), xlabel="time [s]", yscale="log")
-        panel.grid(visible=True, which="both", alpha=0.25)
+        panel.set(title=start_words(cell), xlabel="time [s]")
+        logarithmic(panel)
     panels[0].set_ylabel(f"RMSE in {axis} [{unit}]")
     _legend_below(figure, panels[0])
-    figure.suptitle(f"{paper.TRIALS[trial]}: RMSE in {axis} over the runs", fontsize=12)
+    heading = f"{paper.TRIALS[trial]}: RMSE in {axis} over the runs"
+    figure.suptitle(f"{heading}\n{START_NOTE}", fontsize=11)
     return figure
 
 
