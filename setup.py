@@ -17,6 +17,7 @@ COMMANDS = {
     "replay": "replay",
     "import-csv": "import_csv",
     "evaluate": "evaluate",
+    "train": "train",
     "study": "study",
 }
 

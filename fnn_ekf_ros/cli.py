@@ -46,6 +46,7 @@ COMMANDS = {
     "replay": Command("fnn_ekf_ros.tools.replay", "the localizer over a bag: bag in, bag out"),
     "import-csv": Command("fnn_ekf_ros.tools.import_csv", "a CSV recording into a bag"),
     "evaluate": Command("fnn_ekf_ros.tools.evaluate", "errors against a ground truth"),
+    "train": Command("fnn_ekf_ros.tools.train", "learn the membership functions"),
     "study": Command("fnn_ekf_ros.tools.study", "Monte Carlo runs through every filter"),
 }
 
@@ -116,4 +117,5 @@ play = functools.partial(run_command, "play")
 replay = functools.partial(run_command, "replay")
 import_csv = functools.partial(run_command, "import-csv")
 evaluate = functools.partial(run_command, "evaluate")
+train = functools.partial(run_command, "train")
 study = functools.partial(run_command, "study")

@@ -1,6 +1,7 @@
-"""Reading of membership function files; the packaged ones are named without a path."""
+"""Membership function files, read and written; the packaged ones are named without a path."""
 
 import reprlib
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,21 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.schema import finite_number
-from fnn_ekf_ros.text_files import read_text
+from fnn_ekf_ros.text_files import read_text, write_text
 from fnn_ekf_ros.yaml_text import load_yaml
 
 FORMAT_VERSION = 1
-PACKAGED = ("initial", "published")
+PACKAGED = ("initial", "published", "trained")
 SMALLEST, LARGEST = 1e-15, 1e15
 """Sizes of numbers that leave room for products of them."""
+REMEDY = "write it again with `train --out`"
 _POSITIVE = ("position_unit", "yaw_unit", "change_limit")
+_LETTERS = ("a1", "b1", "a2", "b2", "a3", "b3", "a4", "b4", "c1", "sigma1", "c2", "sigma2")
+"""The paper's names of the parameters, in the order of `FuzzySets`."""
+_HEAD = """\
+# Membership functions of fnn_ekf_ros; x = C_hat - S in the units below. P, N, I, D: sigmoids
+# 1/(1+exp(-slope*(x-center))); Z, M: Gaussians exp(-(x-center)^2/(2*width^2)).
+"""
 
 
 class MembershipError(FnnEkfError):
@@ -41,17 +49,70 @@ def read_membership(name: str) -> FuzzyNetwork:
             raise MembershipError(
                 f"{error}; expected one of {', '.join(PACKAGED)}, or the path of a file"
             ) from None
-    content = load_yaml(text, f"membership_file '{name}'", MembershipError)
+    try:
+        content = load_yaml(text, f"membership_file '{name}'", MembershipError)
+    except MembershipError as error:
+        raise MembershipError(f"{error}; mend or {REMEDY}") from None
     return _network(name, content)
+
+
+def write_membership(path: Path, network: FuzzyNetwork, notes: Sequence[str]) -> None:
+    """Write a membership file, completely or not at all.
+
+    Args:
+        path: the file.
+        network: membership functions with their units.
+        notes: lines on where they come from.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    write_text(path, render_membership(network, notes))
+
+
+def render_membership(network: FuzzyNetwork, notes: Sequence[str]) -> str:
+    """Return the text of a membership file; what is read from it is equal bit for bit.
+
+    The version comes last: a file that was cut short has none and is refused.
+
+    Args:
+        network: membership functions with their units.
+        notes: lines on where they come from.
+    """
+    meanings = (
+        "m^2, of position variances",
+        "rad^2, of yaw variances",
+        "half width of the universe of the change, for centroid only",
+    )
+    entries = [
+        (f"{key}: {getattr(network, key)!r}", meaning)
+        for key, meaning in zip(_POSITIVE, meanings, strict=True)
+    ]
+    entries.append(("sets:", ""))
+    entries += [
+        (f"  {key}: {value!r}", letter)
+        for (key, value), letter in zip(network.sets._asdict().items(), _LETTERS, strict=True)
+    ]
+    width = max(len(entry) for entry, _ in entries)
+    lines = [f"# {note}" for note in notes]
+    lines += [f"{entry:<{width}} # {said}" if said else entry for entry, said in entries]
+    lines.append(f"version: {FORMAT_VERSION}")
+    return _HEAD + "\n".join(lines) + "\n"
 
 
 def _network(name: str, content: Any) -> FuzzyNetwork:
     if not isinstance(content, dict) or "version" not in content:
-        raise MembershipError(f"membership_file '{name}' has no version: it is of another kind")
+        raise MembershipError(
+            f"membership_file '{name}' has no version: it was cut short or is of another kind; "
+            f"{REMEDY}"
+        )
     version = content["version"]
     if type(version) is not int or version != FORMAT_VERSION:
+        newer = type(version) is int and version > FORMAT_VERSION
+        remedy = "update fnn_ekf_ros, or " if newer else ""
         raise MembershipError(
-            f"membership_file '{name}' has version {version!r}: expected {FORMAT_VERSION}"
+            f"membership_file '{name}' has version {reprlib.repr(version)}: expected "
+            f"{FORMAT_VERSION}; {remedy}{REMEDY}"
         )
     _check_keys(name, content, {"version", "sets", *_POSITIVE})
     if not isinstance(content["sets"], dict):
@@ -81,7 +142,7 @@ def _check_keys(name: str, content: dict[Any, Any], expected: set[str]) -> None:
     ):
         if keys:
             listed = ", ".join(sorted(map(str, keys)))
-            raise MembershipError(f"membership_file '{name}' {word} {listed}")
+            raise MembershipError(f"membership_file '{name}' {word} {listed}; mend or {REMEDY}")
 
 
 def _number(name: str, key: str, value: Any) -> float:

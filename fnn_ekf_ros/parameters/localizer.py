@@ -138,7 +138,8 @@ class LocalizerParameters(Parameters):
         at_most=1000,
     )
     membership_file: str = parameter(
-        "published", "Membership functions: initial or published (the paper's), or a file's path."
+        "published",
+        "Membership functions: initial or published (the paper's), trained, or a file's path.",
     )
     inference: str = parameter(
         "tsukamoto",

@@ -34,7 +34,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "messages": {"core", "parameters", "pipeline"},
     "simulation": {"core", "messages", "parameters"},
     "study": {"core", "membership", "parameters", "pipeline", "simulation"},
-    "training": {"core", "membership", "parameters", "simulation", "study"},
+    "training": {"core", "membership", "parameters", "pipeline", "simulation", "study"},
     "bag_files": {"errors", "messages"},
     "tools": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
@@ -201,7 +201,7 @@ def test_the_localizer_node_pulls_in_nothing_heavy() -> None:
     assert (ended.returncode, ended.stdout.strip()) == (0, "")
 
 
-@pytest.mark.parametrize("name", ["simulate", "replay", "import-csv", "evaluate", "study"])
+@pytest.mark.parametrize("name", ["simulate", "replay", "import-csv", "evaluate", "train", "study"])
 def test_tools_help_without_ros(without_ros: str, name: str) -> None:
     ended = python("", "-m", "fnn_ekf_ros", name, "--help", path=without_ros)
     assert (ended.returncode, ended.stderr) == (0, "")
@@ -222,7 +222,8 @@ def test_the_package_lists_its_commands() -> None:
     assert ended.returncode == 0
     listed = {line.split()[0] for line in ended.stdout.splitlines() if line.startswith("    ")}
     assert listed >= {
-        "localizer", "fake_robot", "simulate", "play", "replay", "import-csv", "evaluate", "study",
+        "localizer", "fake_robot", "simulate", "play", "replay", "import-csv", "evaluate", "train",
+        "study",
     }  # fmt: skip
 
 

@@ -1,0 +1,157 @@
+"""Pictures of learning: the paper's figures 3 and 4, the learned rule, the loss."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fnn_ekf_ros.core.adaptation import FuzzyNetwork
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.fuzzy import FuzzySets, gaussian, infer, sigmoid
+from fnn_ekf_ros.tools.study_figures import new_figure, require_matplotlib, save
+from fnn_ekf_ros.training.five_layers import UNITS_PER_SCALE
+from fnn_ekf_ros.training.training_set import FARTHEST, STEP_SHARE, TrainingSet
+
+__all__ = ["draw_change", "draw_loss", "draw_membership", "require_matplotlib"]
+
+MEMBERSHIP_SPAN = 120.0
+"""Membership functions are drawn from minus to plus this [their unit]."""
+# Increase, maintain, decrease, and the sets that lead there.
+BLUE, GREEN, RED, GREY = "#0072B2", "#009E73", "#D55E00", "#777777"
+_RULES = ("increase", "maintain", "decrease")
+_COLOURS = (BLUE, GREEN, RED)
+
+
+def draw_membership(
+    path: Path, networks: Mapping[str, FuzzyNetwork], span: float = MEMBERSHIP_SPAN
+) -> None:
+    """Draw membership functions, a row for each network: antecedents left, consequents right.
+
+    Args:
+        path: the PNG to write.
+        networks: by their titles.
+        span: half width of the pictures [the sets' unit].
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    figure = new_figure(11.0, 0.6 + 2.9 * len(networks))
+    rows = figure.subplots(len(networks), 2, sharex=True, sharey=True, squeeze=False)
+    # A crisp set or a very narrow one must not fall between two points.
+    x = np.unique(np.concatenate([np.linspace(-span, span, 1201), np.linspace(-1.0, 1.0, 401)]))
+    for axes, (title, network) in zip(rows, networks.items(), strict=True):
+        for ax, functions, argument in (
+            (axes[0], antecedents(network.sets, x), r"$-D = \hat{C} - S$"),
+            (axes[1], consequents(network.sets, x), r"$\Delta R$"),
+        ):
+            for (label, value), colour in zip(functions.items(), _COLOURS, strict=True):
+                if value is None:
+                    ax.plot([], [], color=colour, label=label)
+                else:
+                    ax.plot(x, value, color=colour, lw=1.8, label=label)
+            unit = f"{network.position_unit:.3g} m² or {network.yaw_unit:.3g} rad²"
+            ax.set(xlabel=f"{argument}   [{unit}]", xlim=(-span, span), ylim=(-0.03, 1.05))
+            ax.grid(visible=True, alpha=0.25)
+            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), fontsize="small")
+            ax.tick_params(labelbottom=True)
+        if network.sets.decrease_slope == 0.0:
+            axes[1].axvline(network.sets.decrease_center, color=RED, lw=1.8)
+        if network.sets.maintain_width == 0.0:
+            axes[1].axvline(network.sets.maintain_center, color=GREEN, lw=1.8)
+        axes[0].set(ylabel="membership")
+        axes[0].set_title(f"{title}: antecedents", fontsize="medium", loc="left")
+        axes[1].set_title(f"{title}: consequents", fontsize="medium", loc="left")
+    save(figure, path)
+
+
+def antecedents(sets: FuzzySets, x: FloatArray) -> dict[str, FloatArray | None]:
+    """Return N, Z and P at x = C_hat - S, with their rules' order and names for a legend."""
+    return {
+        "N: S too small": sigmoid(x, sets.negative_slope, sets.negative_center),
+        "Z: S right": gaussian(x, sets.zero_center, sets.zero_width),
+        "P: S too large": sigmoid(x, sets.positive_slope, sets.positive_center),
+    }
+
+
+def consequents(sets: FuzzySets, x: FloatArray) -> dict[str, FloatArray | None]:
+    """Return I, M and D at a change x; None where one is crisp, which is a point, no curve."""
+    crisp_d, crisp_m = sets.decrease_slope == 0.0, sets.maintain_width == 0.0
+    return {
+        "I: increase": sigmoid(x, sets.increase_slope, sets.increase_center),
+        "M: maintain" + " (crisp)" * crisp_m: None
+        if crisp_m
+        else gaussian(x, sets.maintain_center, sets.maintain_width),
+        "D: decrease" + " (crisp)" * crisp_d: None
+        if crisp_d
+        else sigmoid(x, sets.decrease_slope, sets.decrease_center),
+    }
+
+
+def draw_change(path: Path, pairs: TrainingSet, start: FuzzyNetwork, after: FuzzyNetwork) -> None:
+    """Draw what the network answers before and after learning, over the training set.
+
+    Args:
+        path: the PNG to write.
+        pairs: the training set.
+        start: what descent started from, in the unit of `after`.
+        after: the learned network.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    figure = new_figure(9.0, 7.5)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    D = np.sinh(np.linspace(-1.0, 1.0, 801) * np.arcsinh(FARTHEST)) * UNITS_PER_SCALE
+    top.scatter(
+        -pairs.mismatch * UNITS_PER_SCALE,
+        pairs.wanted_change * STEP_SHARE * UNITS_PER_SCALE,
+        s=7, color=GREY, alpha=0.35, linewidths=0, label="training set (at 0: R was right)",
+    )  # fmt: skip
+    top.plot(-D, infer(start.sets, D).change, color="black", ls="--", lw=1.4, label="before")
+    learned = infer(after.sets, D)
+    top.plot(-D, learned.change, color=BLUE, lw=2.0, label="after learning")
+    limit = 0.6 * STEP_SHARE * FARTHEST * UNITS_PER_SCALE
+    top.set_yscale("asinh", linear_width=STEP_SHARE * UNITS_PER_SCALE)
+    top.set(ylim=(-3.0 * limit, limit), ylabel=r"$\Delta R$   [unit]")
+    top.set_title("What the network answers", fontsize="medium", loc="left")
+    top.legend(loc="upper left", fontsize="small")
+    for k, (rule, colour) in enumerate(zip(_RULES, _COLOURS, strict=True)):
+        bottom.plot(-D, learned.normalized_firing[:, k], color=colour, lw=1.8, label=rule)
+    bottom.set_xscale("asinh", linear_width=UNITS_PER_SCALE)
+    bottom.set(
+        ylabel=r"weight $\beta$ of the rule",
+        xlabel=r"$-D = \hat{C} - S$   [unit]; where the noise is right, D scatters by "
+        f"{UNITS_PER_SCALE:g}",
+        ylim=(-0.03, 1.03),
+    )
+    bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")
+    bottom.legend(loc="center left", fontsize="small")
+    ticks: Any = [-300, -100, -30, -10, 0, 10, 30, 100, 300]
+    bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    top.set_yticks(ticks[1:-1], [f"{tick:g}" for tick in ticks[1:-1]])
+    for ax in (top, bottom):
+        ax.grid(visible=True, alpha=0.25)
+        ax.minorticks_off()
+    save(figure, path)
+
+
+def draw_loss(path: Path, losses: Sequence[float]) -> None:
+    """Draw the loss before the first epoch and after each.
+
+    Args:
+        path: the PNG to write.
+        losses: E of eq. 23, the mean over the training set, in scales of the training set.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    figure = new_figure(7.0, 4.0)
+    ax = figure.subplots()
+    ax.plot(np.arange(len(losses)), losses, color=BLUE, lw=1.8)
+    ax.set_xscale("symlog", linthresh=1.0)
+    ax.set(yscale="log", xlabel="epoch", ylabel="mean of E (eq. 23)", xlim=(0, len(losses) - 1))
+    ax.set_title(f"Loss: {losses[0]:.3g} before, {losses[-1]:.3g} after", fontsize="medium",
+                 loc="left")  # fmt: skip
+    ax.grid(visible=True, which="both", alpha=0.25)
+    save(figure, path)

@@ -1,0 +1,73 @@
+"""Steepest descent on a network's parameters (Nguyen et al., eqs. 23 and 24).
+
+    E_k = (z_k - t_k)^2 / 2                                                     (23)
+    p <- p - eta dE/dp,   E = mean of E_k,   dE/dp = mean of (z_k - t_k) dz_k/dp   (24)
+
+with the network's output z_k on input k, the wanted output t_k and every parameter p. The paper
+does not say whether p moves after each pair or after all of them. Here it moves after all: the
+result does not depend on the pairs' order, and with a small rate the loss can only fall.
+
+One rate serves all parameters, so inputs and outputs should be of order 1; whoever calls scales.
+Nothing here knows what the network is: a vector of parameters, its output and its gradient.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class LearningNetwork:
+    """A network as descent sees it; p is the vector `(m,)` of its parameters.
+
+    Attributes:
+        output: takes p and inputs `(n, ...)`, returns outputs `(n,)`.
+        gradient: takes the same, returns the derivatives `(n, m)` of the outputs by p.
+        feasible: takes p, returns the nearest parameters that make sense.
+    """
+
+    output: Callable[[FloatArray, FloatArray], FloatArray]
+    gradient: Callable[[FloatArray, FloatArray], FloatArray]
+    feasible: Callable[[FloatArray], FloatArray]
+
+
+class Epoch(NamedTuple):
+    """Where descent is.
+
+    Attributes:
+        parameters: `(m,)` p.
+        loss: E of these parameters.
+    """
+
+    parameters: FloatArray
+    loss: float
+
+
+def descend(
+    network: LearningNetwork,
+    start: FloatArray,
+    inputs: FloatArray,
+    targets: FloatArray,
+    rate: float,
+) -> Iterator[Epoch]:
+    """Yield the start, then the parameters after each step; never ends.
+
+    Args:
+        network: what learns.
+        start: `(m,)` parameters to start from; not changed.
+        inputs: `(n, ...)` of the training set.
+        targets: `(n,)` wanted outputs.
+        rate: eta.
+    """
+    p = np.asarray(start, dtype=np.float64)
+    while True:
+        with np.errstate(all="ignore"):  # a rate far too large overflows: the loss tells
+            excess = network.output(p, inputs) - targets
+            loss = float(0.5 * np.mean(excess**2))
+        yield Epoch(p, loss)
+        slope = np.mean(excess[:, None] * network.gradient(p, inputs), axis=0)
+        p = network.feasible(p - rate * slope)

@@ -1,0 +1,168 @@
+"""The command train, and the packaged set that it made."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import diagonal_matrix
+from fnn_ekf_ros.membership.files import read_membership, write_membership
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.configure import filter_model
+from fnn_ekf_ros.study.filters import run as run_filter
+from fnn_ekf_ros.study.recording import Start
+from fnn_ekf_ros.study.scenarios import NOMINAL, record
+from fnn_ekf_ros.training import training_set
+
+Refuse = Callable[..., str]
+Succeed = Callable[..., str]
+
+
+@pytest.fixture
+def few_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Makes the training set small."""
+    monkeypatch.setattr(training_set, "RUNS", 6)
+    monkeypatch.setattr(training_set, "STEPS", 60)
+
+
+def test_the_packaged_set_is_what_the_command_writes(tmp_path: Path, succeed: Succeed) -> None:
+    pytest.importorskip("matplotlib")
+    plots = tmp_path / "new" / "plots"
+    said = succeed("train", "--out", tmp_path / "made.yaml", "--plots", plots)
+    made, packaged = read_membership(str(tmp_path / "made.yaml")), read_membership("trained")
+    np.testing.assert_allclose(made.sets, packaged.sets, rtol=1e-4)
+    np.testing.assert_allclose(
+        [made.position_unit, made.yaw_unit, made.change_limit],
+        [packaged.position_unit, packaged.yaw_unit, packaged.change_limit],
+        rtol=1e-4,
+    )
+    assert made.sets != read_membership("initial").sets
+    assert sorted(path.name for path in plots.iterdir()) == [
+        "change.png", "loss.png", "membership.png", "training.json",
+    ]  # fmt: skip
+    for path in plots.glob("*.png"):
+        assert path.read_bytes().startswith(b"\x89PNG")
+    facts = json.loads((plots / "training.json").read_text())
+    assert (facts["seed"], facts["epochs"], facts["initial"]) == (1, 4000, "initial")
+    losses = np.array(facts["loss"])
+    assert losses.shape == (4001,)
+    assert np.all(np.diff(losses) <= 0.0)
+    assert losses[-1] < 0.03 * losses[0]
+    assert f"loss {losses[0]:.6g} before, {losses[-1]:.6g} after" in said
+    text = (tmp_path / "made.yaml").read_text()
+    assert "--initial initial --epochs 4000 --rate 0.01 --seed 1 --innovation-window 45" in text
+
+
+def test_the_packaged_set_beats_the_papers(
+    make_parameters: Callable[..., LocalizerParameters],
+) -> None:
+    """RMSE over the oracle's, mean of x, y, theta, from a right and from two wrong starts."""
+    rng = np.random.default_rng(31)
+    recording = record(FakeRobotParameters(path="sim1"), NOMINAL, 400, 60, rng)
+    R = recording.measurement_noise[0]
+    P = diagonal_matrix(R[:3])
+    mean = recording.truth[0] + np.sqrt(R[:3]) * rng.standard_normal((60, 3))
+
+    def errors(mode: str, name: str, factor: float) -> np.ndarray:
+        parameters = make_parameters(adaptation=mode, membership_file=name)
+        start = Start(mean, P, np.tile(recording.process_noise[0], (60, 1)), R * factor)
+        model = filter_model(parameters, read_membership(name))
+        error = run_filter(model, recording, start).mean - recording.truth[1:]
+        error[..., 2] = wrap_angle(error[..., 2])
+        return np.sqrt(np.mean(error**2, axis=(0, 1)))
+
+    oracle = errors("none", "initial", 1.0)
+    ratio = {
+        (name, factor): float(np.mean(errors("r", name, factor) / oracle))
+        for name in ("published", "trained")
+        for factor in (1.0, 1.0 / 25.0, 25.0)
+    }
+    assert ratio["trained", 1.0] < 1.01
+    for factor in (1.0, 1.0 / 25.0, 25.0):
+        assert ratio["trained", factor] < ratio["published", factor], ratio
+
+
+def test_the_same_seed_writes_the_same_bytes(
+    tmp_path: Path, succeed: Succeed, few_robots: None
+) -> None:
+    for name, seed in (("one", 3), ("two", 3), ("three", 4)):
+        succeed("train", "--out", tmp_path / name, "--epochs", 5, "--seed", seed)
+    one, two, three = ((tmp_path / name).read_bytes() for name in ("one", "two", "three"))
+    assert one == two
+    assert one != three
+
+
+def test_training_starts_from_a_file_and_replay_takes_the_result(
+    tmp_path: Path, succeed: Succeed, recorded: Path, few_robots: None
+) -> None:
+    initial, copied, other = (tmp_path / name for name in ("initial", "copied", "other"))
+    write_membership(tmp_path / "copy", read_membership("initial"), [])
+    for out, start in ((initial, "initial"), (copied, tmp_path / "copy"), (other, "published")):
+        succeed("train", "--out", out, "--epochs", 10, "--initial", start)
+    of_initial, of_copy, of_published = map(read_membership, map(str, (initial, copied, other)))
+    assert of_initial == of_copy
+    assert of_initial != of_published
+    words = ["--params", recorded.with_name(f"{recorded.name}.yaml"), "-p", "adaptation:=r"]
+    succeed("replay", recorded, tmp_path / "out", *words, "-p", f"membership_file:={other}")
+
+
+def test_a_short_window_makes_a_larger_unit(
+    tmp_path: Path, succeed: Succeed, few_robots: None
+) -> None:
+    for window in (10, 40):
+        succeed("train", "--out", tmp_path / str(window), "--epochs", 1,
+                "--innovation-window", window)  # fmt: skip
+    ten, forty = (read_membership(str(tmp_path / str(window))) for window in (10, 40))
+    assert ten.position_unit / forty.position_unit == pytest.approx(2.0, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--epochs", "0"], "--epochs 0: expected 1 to 1000000"),
+        (["--rate", "0"], "--rate 0: expected more than 0"),
+        (["--rate", "nan"], "--rate nan: expected more than 0"),
+        (["--rate", "inf"], "--rate inf: expected more than 0"),
+        (["--seed", "-1"], "--seed -1: expected 0 to"),
+        (["--innovation-window", "1"], "--innovation-window 1: expected 2 to"),
+        (["--initial", "final"], "membership_file 'final': No such file"),
+    ],
+)
+def test_train_refuses(tmp_path: Path, refuse: Refuse, words: list[str], expected: str) -> None:
+    assert expected in refuse("train", "--out", tmp_path / "out.yaml", *words)
+
+
+def test_train_refuses_places_it_cannot_write_to(tmp_path: Path, refuse: Refuse) -> None:
+    missing = tmp_path / "missing" / "out.yaml"
+    assert "there is no folder" in refuse("train", "--out", missing)
+    assert "is a folder" in refuse("train", "--out", tmp_path)
+    (tmp_path / "file").write_text("mine")
+    line = refuse("train", "--out", tmp_path / "out.yaml", "--plots", tmp_path / "file")
+    assert "--plots" in line
+
+
+def test_a_rate_that_is_too_large_is_refused(
+    tmp_path: Path, refuse: Refuse, few_robots: None
+) -> None:
+    line = refuse("train", "--out", tmp_path / "out.yaml", "--rate", 3)
+    assert "--rate 3: the loss grew from" in line
+    assert line.endswith("expected a smaller rate")
+
+
+def test_pictures_of_sets_are_the_same_every_time(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from fnn_ekf_ros.tools.train_figures import draw_membership
+
+    networks = {name: read_membership(name) for name in ("initial", "published")}
+    wider = dataclasses.replace(networks["published"], position_unit=1e-3)
+    draw_membership(tmp_path / "one.png", networks)
+    draw_membership(tmp_path / "two.png", networks)
+    draw_membership(tmp_path / "three.png", networks | {"published": wider})
+    one, two, three = ((tmp_path / f"{n}.png").read_bytes() for n in ("one", "two", "three"))
+    assert one == two
+    assert one != three
