@@ -95,6 +95,7 @@ def test_the_same_seed_writes_the_same_bytes(
     one, two, three = ((tmp_path / name).read_bytes() for name in ("one", "two", "three"))
     assert one == two
     assert one != three
+    assert read_membership(str(tmp_path / "one")) != read_membership(str(tmp_path / "three"))
 
 
 def test_training_starts_from_a_file_and_replay_takes_the_result(
