@@ -29,10 +29,12 @@ class Case(NamedTuple):
 CASES = {
     "nominal": Case("nothing goes wrong", NOMINAL, has_event=False),
     "slip": Case(
-        "slip, 100 times the variance", Scenario(process_scale=100.0), has_event=True
+        "wheel slip of 100 times the variance", Scenario(process_scale=100.0), has_event=True
     ),
     "noisy_sensors": Case(
-        "fixes and compass, 25 times the variance", Scenario(measurement_scale=25.0), has_event=True
+        "fixes and compass of 25 times the variance",
+        Scenario(measurement_scale=25.0),
+        has_event=True,
     ),
     "unequal_wheels": Case(
         "wheel diameters unequal by 2 %", Scenario(wheel_inequality=0.02), has_event=False

@@ -3,19 +3,39 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import STATE_SIZE
 from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
-from fnn_ekf_ros.membership.files import PACKAGED, read_membership
+from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.study.rivals import (
+    innovation_based,
+    multiple_model,
+    sage_husa,
+    variational_bayes,
+)
+from fnn_ekf_ros.study.rivals.innovation_based import InnovationBasedSettings
+from fnn_ekf_ros.study.rivals.multiple_model import MultipleModelSettings
+from fnn_ekf_ros.study.rivals.sage_husa import SageHusaSettings
+from fnn_ekf_ros.study.rivals.variational_bayes import VariationalBayesSettings
 
 ORACLE = "oracle"
 DEAD_RECKONING = "dead_reckoning"
+BANK = "multiple_model"
+ADAPTIVE: tuple[tuple[str, str, dict[str, str]], ...] = (
+    ("r_published", "FNN-EKF R, published", {"adaptation": "r", "membership_file": "published"}),
+    ("r_trained", "FNN-EKF R, trained", {"adaptation": "r", "membership_file": "trained"}),
+    ("q_published", "FNN-EKF Q, published", {"adaptation": "q", "membership_file": "published"}),
+    ("q_trained", "FNN-EKF Q, trained", {"adaptation": "q", "membership_file": "trained"}),
+)
+"""The adaptive filters of the localizer: name, label, parameters."""
 SMALLEST_WINDOW = 2
 """A filter that adapts nothing need not carry more innovations along."""
 
@@ -43,20 +63,42 @@ def study_filters(parameters: LocalizerParameters) -> dict[str, StudyFilter]:
     """
     fixed = _model(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
     filters = [
-        StudyFilter(DEAD_RECKONING, "dead reckoning", lambda r, s: run(fixed, _blind(r), s)),
-        StudyFilter("ekf", "EKF", lambda r, s: run(fixed, r, s)),
-        StudyFilter(ORACLE, "oracle EKF", lambda r, s: run(fixed, r, s, knows_noise=True)),
+        StudyFilter(
+            DEAD_RECKONING,
+            "dead reckoning",
+            lambda recording, start: run(fixed, _blind(recording), start),
+        ),
+        StudyFilter("ekf", "EKF", partial(run, fixed)),
+        StudyFilter(ORACLE, "oracle EKF", partial(run, fixed, knows_noise=True)),
     ]
-    for name in ("published", "trained"):
-        if name in PACKAGED:
-            filters += [
-                _adaptive(f"r_{name}", f"FNN-EKF R, {name}", parameters, "r", name),
-                _adaptive(f"q_{name}", f"FNN-EKF Q, {name}", parameters, "q", name),
-            ]
+    filters += [
+        StudyFilter(name, label, partial(run, _model(parameters, **changes)))
+        for name, label, changes in ADAPTIVE
+    ]
+    f = MotionModel(parameters.motion_model)
+    filters += [
+        StudyFilter(
+            "innovation_based", "IAE",
+            partial(innovation_based.run, f, settings=InnovationBasedSettings()),
+        ),
+        StudyFilter(
+            "sage_husa", "Sage-Husa", partial(sage_husa.run, f, settings=SageHusaSettings())
+        ),
+        StudyFilter(
+            "variational_bayes", "VB-AKF",
+            partial(variational_bayes.run, f, settings=VariationalBayesSettings()),
+        ),
+        StudyFilter(
+            BANK, "bank of 81 EKFs",
+            partial(multiple_model.run, f, settings=MultipleModelSettings()),
+        ),
+    ]  # fmt: skip
     return {each.name: each for each in filters}
 
 
-def run(model: FilterModel, recording: Recording, start: Start, knows_noise: bool = False) -> Track:
+def run(
+    model: FilterModel, recording: Recording, start: Start, *, knows_noise: bool = False
+) -> Track:
     """Run the localizer's own filter over a recording.
 
     Args:
@@ -100,13 +142,6 @@ def empty_track(steps: int, start: Start) -> Track:
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
     changed = dataclasses.replace(parameters, **changes)
     return filter_model(changed, read_membership(changed.membership_file))
-
-
-def _adaptive(
-    name: str, label: str, parameters: LocalizerParameters, mode: str, membership: str
-) -> StudyFilter:
-    model = _model(parameters, adaptation=mode, membership_file=membership)
-    return StudyFilter(name, label, lambda recording, start: run(model, recording, start))
 
 
 def _blind(recording: Recording) -> Recording:

@@ -16,7 +16,7 @@ from fnn_ekf_ros.study.trials import Size, Trial, halves, make_trial
 TRIALS = {
     "sim1": "simulation 1",
     "sim2": "simulation 2",
-    "round": "experiment",
+    "round": "experiment (simulated)",
 }
 """Paths of the fake robot, and what the paper calls them."""
 STARTS = (RIGHT, Cell(1.0, 25.0))

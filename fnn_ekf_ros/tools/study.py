@@ -18,7 +18,7 @@ from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.study import dynamic, grid, paper
-from fnn_ekf_ros.study.filters import DEAD_RECKONING, ORACLE, StudyFilter, study_filters
+from fnn_ekf_ros.study.filters import BANK, DEAD_RECKONING, ORACLE, StudyFilter, study_filters
 from fnn_ekf_ros.study.trials import Outcome, Size, Trial, oracle_outcome, try_filter
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools import study_figures, study_paper_figures, study_tables
@@ -47,7 +47,7 @@ class Study(NamedTuple):
         trials: yields them.
         tables: the results in Markdown.
         figures: draws them into a folder.
-        with_dead_reckoning: whether that is among the filters when none are named.
+        left_out: filters that run only when they are named.
         defaults: parameters of the filters that differ from the localizer's.
     """
 
@@ -57,7 +57,7 @@ class Study(NamedTuple):
     trials: Callable[[Size, StudyFilter], Iterator[Trial]]
     tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
     figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
-    with_dead_reckoning: bool = False
+    left_out: tuple[str, ...] = (DEAD_RECKONING, BANK)
     defaults: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -70,7 +70,7 @@ STUDIES = {
     "paper": Study(
         "the paper's simulations and experiment, with its figures",
         tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
-        _paper_tables, study_paper_figures.draw_paper, with_dead_reckoning=True,
+        _paper_tables, study_paper_figures.draw_paper, left_out=(),
         defaults=MappingProxyType({"motion_model": "paper"}),
     ),
     "grid": Study(
@@ -101,8 +101,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--steps", metavar="N", type=int, default=800, help="periods of 375 ms (800)"
         )
         own.add_argument("--seed", metavar="S", type=int, default=1, help="of everything (1)")
+        but = f" but {', '.join(study.left_out)}" if study.left_out else ""
         own.add_argument(
-            "--filters", metavar="A,B", help="filters beside the oracle, by name (all)"
+            "--filters", metavar="A,B", help=f"filters beside the oracle, by name (all{but})"
         )
         own.add_argument(
             "--json", metavar="FILE", type=Path, help="write the numbers here (DIR/results.json)"
@@ -165,7 +166,7 @@ def _chosen(words: str | None, known: dict[str, StudyFilter], study: Study) -> l
     """Return the names of the filters to try, in the order they are known in."""
     possible = [name for name in known if name != ORACLE]
     if words is None:
-        return [name for name in possible if study.with_dead_reckoning or name != DEAD_RECKONING]
+        return [name for name in possible if name not in study.left_out]
     chosen = [word.strip() for word in words.split(",")]
     for word in chosen:
         if word not in possible:

@@ -15,7 +15,7 @@ from fnn_ekf_ros.study.filters import ORACLE
 from fnn_ekf_ros.study.scenarios import event_steps
 from fnn_ekf_ros.study.starts import FACTORS, Cell
 from fnn_ekf_ros.study.trials import Outcome
-from fnn_ekf_ros.tools.study_tables import Labels, factor_words, start_words
+from fnn_ekf_ros.tools.study_tables import Labels, factor_words, range_words, start_words
 
 DPI = 110
 SMOOTHED_STEPS = 8
@@ -141,7 +141,7 @@ def draw_grid(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None:
         for name in tried[0].scores:
             for kind in _HEAT_MAPS:
                 file = f"grid_{trial}_{name.replace(' ', '_')}_{kind.word}.png"
-                heading = f"{kind.title}\n{title}, {name} run"
+                heading = f"{kind.title}\n{title}, {range_words(name)}"
                 save(_heat_maps(kind, heading, tried, name, labels), out / file)
 
 
@@ -162,7 +162,7 @@ def _heat_maps(
         for (row, column), value in np.ndenumerate(values):
             dark = np.dot(image.cmap(norm(value))[:3], _LUMINANCE) < 0.5
             panel.text(
-                column, row, f"{value:.2f}" if value < 9.995 else f"{value:.3g}",
+                column, row, _short(value),
                 ha="center", va="center", fontsize=8, color="white" if dark else "black",
             )  # fmt: skip
         words = [factor_words(factor) for factor in FACTORS]
@@ -178,6 +178,13 @@ def _heat_maps(
     bar.set_ticks(kind.ticks, labels=[f"{tick:g}" for tick in kind.ticks])
     bar.minorticks_off()
     return figure
+
+
+def _short(value: float) -> str:
+    """Return a number as it fits a cell."""
+    if not value < 999.5:
+        return ">999" if value >= 999.5 else "n/a"
+    return f"{value:.2f}" if value < 9.995 else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
 
 
 def draw_dynamic(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None:

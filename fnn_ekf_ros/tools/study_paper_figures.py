@@ -11,10 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
-from fnn_ekf_ros.core.fuzzy import gaussian, sigmoid
-from fnn_ekf_ros.membership.files import PACKAGED, read_membership
+from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.simulation.paths import SPACING, scripted_path
 from fnn_ekf_ros.study import paper
@@ -30,6 +28,7 @@ from fnn_ekf_ros.tools.study_figures import (
     smoothed,
 )
 from fnn_ekf_ros.tools.study_tables import Labels, start_words
+from fnn_ekf_ros.tools.train_figures import draw_membership
 
 ON_TRACKS = ("ekf", "r_published", "joint")
 """Filters whose tracks are drawn, if they ran: more cannot be told apart."""
@@ -38,9 +37,9 @@ ENLARGED_M = 0.7
 LOBE = (4.4, 0.0)
 """The simulations' sharpest turn [m]."""
 CORNERS = {
-    18: ("first corner", (6.0, 0.0)),
+    18: ("first corner", (5.5, 0.5)),
     19: ("notch", (3.0, 3.5)),
-    20: ("last corner", (0.0, 4.0)),
+    20: ("last corner", (0.5, 3.5)),
 }
 """Figures of the experiment's corners: what is shown, and its middle [m]."""
 MEMBERSHIP_SPAN = 220.0
@@ -54,17 +53,16 @@ class PaperFigure(NamedTuple):
     Attributes:
         file: its name here.
         shows: in words.
-        draw: makes it of the outcomes.
+        draw: writes it, made of the outcomes.
     """
 
     file: str
     shows: str
-    draw: Callable[[Sequence[Outcome], Labels], Any]
+    draw: Callable[[Path, Sequence[Outcome], Labels], None]
 
 
 def paper_figures() -> list[PaperFigure]:
     """Return the figures in the paper's order."""
-    learned = tuple(name for name in ("published", "trained") if name in PACKAGED)
     figures = [
         PaperFigure(
             "fig03_membership_initial.png", "membership functions before learning",
@@ -72,7 +70,7 @@ def paper_figures() -> list[PaperFigure]:
         ),
         PaperFigure(
             "fig04_membership_learned.png", "membership functions after learning",
-            partial(_membership, learned),
+            partial(_membership, ("published", "trained")),
         ),
         *_simulation_figures("sim1", 5),
         *_simulation_figures("sim2", 10),
@@ -97,7 +95,7 @@ def figure_table() -> str:
 def draw_paper(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None:
     """Draw all of them."""
     for figure in paper_figures():
-        save(figure.draw(outcomes, labels), out / figure.file)
+        figure.draw(out / figure.file, outcomes, labels)
 
 
 def _simulation_figures(trial: str, first: int) -> list[PaperFigure]:
@@ -118,75 +116,21 @@ def _simulation_figures(trial: str, first: int) -> list[PaperFigure]:
     return figures
 
 
-def _membership(names: Sequence[str], _outcomes: Sequence[Outcome], _labels: Labels) -> Any:
-    figure = new_figure(11.0, 0.6 + 3.6 * len(names))
-    panels = figure.subplots(len(names), 2, squeeze=False)
-    for (antecedents, consequents), name in zip(panels, names, strict=True):
-        network = read_membership(name)
-        _draw_antecedents(antecedents, network)
-        _draw_consequents(consequents, network)
-        unit = _unit_words(network)
-        antecedents.set(title=f"mismatch D, set '{name}'", xlabel=rf"$\hat{{C}} - S = -D$ [{unit}]")
-        consequents.set(title=f"change of R, set '{name}'", xlabel=f"dR [{unit}]")
-        antecedents.legend(loc="center left", fontsize=9)
-        consequents.legend(loc="center right", fontsize=9)
-    for panel in panels.flat:
-        panel.set(ylabel="membership", ylim=(-0.04, 1.12))
-        panel.grid(visible=True, alpha=0.25)
-    return figure
-
-
-def _unit_words(network: FuzzyNetwork) -> str:
-    if (network.position_unit, network.yaw_unit) == (1e-6, 1e-6):
-        return "mm$^2$, mrad$^2$"
-    return f"{network.position_unit:g} m$^2$, {network.yaw_unit:g} rad$^2$"
-
-
-def _draw_antecedents(panel: Any, network: FuzzyNetwork) -> None:
-    """Draw P, Z and N; Z again over its own width, where it can be seen."""
-    s = network.sets
-    x = np.linspace(-MEMBERSHIP_SPAN, MEMBERSHIP_SPAN, 2001)
-    near = s.zero_center + np.linspace(-4.0, 4.0, 401) * s.zero_width
-    wide = np.sort(np.concatenate([x, near]))
-    panel.plot(x, sigmoid(x, s.positive_slope, s.positive_center), "-", color="#0072B2", label="P")
-    panel.plot(wide, gaussian(wide, s.zero_center, s.zero_width), "-", color="#000000", label="Z")
-    panel.plot(x, sigmoid(x, s.negative_slope, s.negative_center), "-", color="#D55E00", label="N")
-    inset = panel.inset_axes((0.72, 0.42, 0.25, 0.4))
-    inset.plot(near, gaussian(near, s.zero_center, s.zero_width), color="#000000")
-    inset.set_title("Z", fontsize=8, pad=2)
-    inset.tick_params(labelsize=7)
-
-
-def _draw_consequents(panel: Any, network: FuzzyNetwork) -> None:
-    """Draw D, M and I; crisp ones as a line at their only member."""
-    s = network.sets
-    x = np.linspace(-MEMBERSHIP_SPAN, MEMBERSHIP_SPAN, 2001)
-    if s.decrease_slope == 0.0:
-        panel.plot([s.decrease_center] * 2, [0.0, 1.0], color="#0072B2", label="D (crisp)")
-    else:
-        D = sigmoid(x, s.decrease_slope, s.decrease_center)
-        panel.plot(x, D, color="#0072B2", label="D")
-    if s.maintain_width == 0.0:
-        panel.plot([s.maintain_center] * 2, [0.0, 1.0], color="#000000", label="M (crisp)")
-    else:
-        near = s.maintain_center + np.linspace(-4.0, 4.0, 401) * s.maintain_width
-        wide = np.sort(np.concatenate([x, near]))
-        panel.plot(
-            wide, gaussian(wide, s.maintain_center, s.maintain_width), color="#000000", label="M"
-        )
-    panel.plot(x, sigmoid(x, s.increase_slope, s.increase_center), color="#D55E00", label="I")
+def _membership(names: Sequence[str], path: Path, *_: object) -> None:
+    draw_membership(path, {f"'{name}'": read_membership(name) for name in names}, MEMBERSHIP_SPAN)
 
 
 def _tracks(
     trial: str,
     middle: tuple[float, float] | None,
+    path: Path,
     outcomes: Sequence[Outcome],
     labels: Labels,
-) -> Any:
+) -> None:
     """Draw the last lap of the first run, all of it or around a point."""
     tried = [o for o in outcomes if o.trial == trial and len(o.cells) > 1]
     drawn = [outcome for outcome in tried if outcome.filter in ON_TRACKS] or tried[:3]
-    figure = new_figure(12.0, 6.4, fixed_aspect=True)
+    figure = new_figure(12.0, _height(trial) if middle is None else 6.4, fixed_aspect=True)
     panels = figure.subplots(1, len(paper.STARTS), sharex=True, sharey=True)
     lap = _steps_of_lap(trial)
     for panel, cell in zip(panels, paper.STARTS, strict=True):
@@ -206,10 +150,10 @@ def _tracks(
     panels[0].set_ylabel("y [m]")
     _legend_below(figure, panels[0])
     figure.suptitle(f"{paper.TRIALS[trial]}, last lap of one run\n{START_NOTE}", fontsize=11)
-    return figure
+    save(figure, path)
 
 
-def _rmse(trial: str, axis: str, outcomes: Sequence[Outcome], labels: Labels) -> Any:
+def _rmse(trial: str, axis: str, path: Path, outcomes: Sequence[Outcome], labels: Labels) -> None:
     """Draw an axis's RMSE over all runs by time; a panel for each start."""
     word, unit = ERROR_AXES[axis]
     figure = new_figure(12.0, 5.6)
@@ -228,12 +172,18 @@ def _rmse(trial: str, axis: str, outcomes: Sequence[Outcome], labels: Labels) ->
     _legend_below(figure, panels[0])
     heading = f"{paper.TRIALS[trial]}: RMSE in {axis} over the runs"
     figure.suptitle(f"{heading}\n{START_NOTE}", fontsize=11)
-    return figure
+    save(figure, path)
 
 
 def _legend_below(figure: Any, panel: Any) -> None:
     handles, words = panel.get_legend_handles_labels()
     figure.legend(handles, words, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+
+
+def _height(trial: str) -> float:
+    """Return how high a figure of two panels next to each other must be [inch]."""
+    width, height = np.ptp(scripted_path(trial).points, axis=0)
+    return 1.7 + 5.4 * float(height / width)
 
 
 def _steps_of_lap(trial: str) -> int:

@@ -70,7 +70,9 @@ def paper_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
     for trial, title in paper.TRIALS.items():
         for cell in paper.STARTS:
             for name in _ranges(outcomes):
-                parts.append(f"## {title[0].upper()}{title[1:]}, {start_words(cell)}, {name} run\n")
+                parts.append(
+                    f"## {title[0].upper()}{title[1:]}, {start_words(cell)}, {range_words(name)}\n"
+                )
                 parts.append(
                     _table(
                         ["filter", "RMSE x [m]", "RMSE y [m]", "RMSE theta [rad]", "ratio",
@@ -90,7 +92,7 @@ def grid_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
     for trial, title in grid.SIMULATIONS.items():
         tried = [o for o in outcomes if o.trial == trial and len(o.cells) > 1]
         for name in _ranges(outcomes):
-            parts.append(f"## {title[0].upper()}{title[1:]}, {name} run: all starts\n")
+            parts.append(f"## {title[0].upper()}{title[1:]}, {range_words(name)}: all starts\n")
             parts.append(
                 _table(
                     ["filter", "right start", "worst start", "its worst axis", "its q, k",
@@ -100,7 +102,7 @@ def grid_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
             )  # fmt: skip
         for outcome in tried:
             for name, score in outcome.scores.items():
-                parts.append(f"### {labels[outcome.filter]}, {title}, {name} run: ratio\n")
+                parts.append(f"### {labels[outcome.filter]}, {title}, {range_words(name)}: ratio\n")
                 cells = [
                     [_ratios(score, outcome.cells.index(Cell(q, k))) for k in FACTORS]
                     for q in FACTORS
@@ -121,7 +123,8 @@ def dynamic_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
     """Return a table for each case: right start and the worst of the wrong ones, by range."""
     parts = []
     ranges = _ranges(outcomes)
-    columns = [text for name in ranges for text in (f"ratio {name}", f"NEES {name}", "diverged")]
+    words = ("ratio", "NEES", "diverged")
+    columns = [f"{word}, {name}" for name in ranges for word in words]
     for trial, case in dynamic.CASES.items():
         when = " during the event" if case.has_event else ""
         parts.append(f"## {trial}: {case.about}{when}\n")
@@ -144,6 +147,11 @@ def dynamic_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
 def factor_words(factor: float) -> str:
     """Return a factor as a reader would write it."""
     return f"{factor:g}" if factor >= 1.0 else f"1/{1.0 / factor:g}"
+
+
+def range_words(name: str) -> str:
+    """Return a range in words."""
+    return f"{name} run" if name == "whole" else name
 
 
 def start_words(cell: Cell) -> str:

@@ -99,6 +99,13 @@ def test_sensors_draw_from_a_stream_of_their_own() -> None:
     np.testing.assert_array_equal(one.control, other.control)
 
 
+def test_a_longer_recording_begins_as_the_shorter_one() -> None:
+    long, short = recorded(steps=20), recorded(steps=12)
+    np.testing.assert_array_equal(long.truth[:13], short.truth)
+    np.testing.assert_array_equal(long.control[:12], short.control)
+    np.testing.assert_array_equal(long.measurement[:12], short.measurement)
+
+
 @pytest.mark.parametrize("path", ["sim1", "sim2", "round"])
 def test_slip_is_all_that_the_encoders_miss(path: str) -> None:
     robot = FakeRobotParameters(path=path)
@@ -176,6 +183,7 @@ def test_outliers() -> None:
     assert np.mean(far[..., Row.X]) == pytest.approx(0.05 * 0.617, rel=0.1)
     assert np.mean(far[..., Row.X] & far[..., Row.Y]) == pytest.approx(0.05 * 0.617**2, rel=0.1)
     assert not far[..., Row.COMPASS_YAW].any()
+    assert np.mean(far[:, ::2, Row.X] & far[:, 1::2, Row.X]) < 0.01  # each run has its own
     variance = 0.95 + 0.05 * 100.0
     assert np.mean(noise[..., Row.Y] ** 2) == pytest.approx(variance, rel=0.05)
     said = recording.measurement_noise / NOMINAL_MEASUREMENT_NOISE
