@@ -1,0 +1,108 @@
+"""Q and R as averages that fade: Sage and Husa (1969), with a fading factor b as usual since.
+
+Noise means are zero. For the k-th innovation r, with d = (1 - b) / (1 - b^(k+1)),
+
+    R <- (1 - d) R + d (r r' - H P- H')
+    Q <- (1 - d) Q + d (K r r' K' + P - A P A')
+
+(Joint Automatic Control Conference, pp. 760-769.) Both samples can be negative, and so can their
+averages, which no filter survives. The usual positive forms are taken instead,
+
+    R <- (1 - d) R + d (e e' + H P H'),   e = z - H x       the same mean in a well-tuned filter
+    Q <- (1 - d) Q + d K r r' K'                            the same mean in a steady state
+
+Only diagonals are adapted; Q is that of W Q W'. With R left as it is, neither form of Q recovers
+from an R that is far too large or small, and both together settle on a pair of Q and R that need
+not be the true one: that is the method's nature.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray, diagonal_matrix
+from fnn_ekf_ros.core.kalman import Correction, correct
+from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.study.rivals.shared import (
+    AdaptedNoise,
+    collect,
+    outer,
+    period_scale,
+    pose_difference,
+    predict,
+    row_values,
+    row_variances,
+    shows_wheel_noise,
+    wheel_noise,
+    whole_batch,
+    within_limits,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SageHusaSettings:
+    """Settings of the Sage-Husa filter.
+
+    Attributes:
+        adapted_noise: what is adapted. R alone is as good as the EKF where Q is right, but cannot
+            mend a wrong Q; both together are the better bet where nothing is known.
+        fading: b, over 0 and under 1; 1 / (1 - b) innovations are remembered. 0.93 to 0.98 differ
+            little, longer memories carry the feedback of Q on itself for longer.
+    """
+
+    adapted_noise: AdaptedNoise = AdaptedNoise.BOTH
+    fading: float = 0.95
+
+    def __post_init__(self) -> None:
+        """Refuse what the method is not defined for."""
+        if not 0.0 < self.fading < 1.0:
+            raise ValueError(f"fading is over 0 and under 1, not {self.fading}")
+
+
+def run(
+    motion_model: MotionModel, recording: Recording, start: Start, settings: SageHusaSettings
+) -> Track:
+    """Run the Sage-Husa filter over a recording.
+
+    Args:
+        motion_model: f(x, u).
+        recording: what the sensors said.
+        start: pose and noise to start from.
+        settings: what is adapted and how fast it fades.
+    """
+    mean, covariance, Q, R = whole_batch(recording, start)
+    scale = period_scale(recording)
+    adapts_Q = settings.adapted_noise is not AdaptedNoise.R
+    adapts_R = settings.adapted_noise is not AdaptedNoise.Q
+    Q_count, R_count = np.zeros(Q.shape), np.zeros(R.shape)
+    steps: list[Correction] = []
+    for control, z, available in zip(
+        recording.control, recording.measurement, recording.available, strict=True
+    ):
+        predicted = predict(motion_model, mean, covariance, control, Q * scale)
+        corrected = correct(
+            predicted.motion.mean, predicted.covariance, z, diagonal_matrix(R), available
+        )
+        mean, covariance = corrected.mean, corrected.covariance
+        steps.append(corrected)
+
+        Kr = pose_difference(mean, predicted.motion.mean)
+        if adapts_R:
+            e = corrected.innovation - row_values(Kr)
+            R_count = R_count + available
+            d = np.where(available, _share(settings.fading, R_count), 0.0)
+            R = within_limits((1.0 - d) * R + d * (e * e + row_variances(covariance)))
+        if adapts_Q:
+            shown = shows_wheel_noise(available)
+            Q_count = Q_count + shown
+            d = np.where(shown, _share(settings.fading, Q_count), 0.0)
+            sample = wheel_noise(predicted.motion, outer(Kr)) / scale
+            Q = within_limits((1.0 - d) * Q + d * sample)
+    return collect(steps)
+
+
+def _share(fading: float, count: FloatArray) -> FloatArray:
+    """Return d, the share of the k-th sample in the average; the start counts as one, k = 0."""
+    share: FloatArray = (1.0 - fading) / (1.0 - fading ** (count + 1.0))
+    return share

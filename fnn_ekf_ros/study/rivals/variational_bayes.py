@@ -1,0 +1,123 @@
+"""R by variational Bayes: the VB-AKF of Sarkka and Nummenmaa (2009).
+
+The variances of a diagonal R are inverse gamma distributed, independent of the state and of each
+other. With m, P the state's mean and covariance, each step
+
+    alpha- = rho alpha,   beta- = rho beta              forgetting, R's mean stays
+    alpha = alpha- + 1/2,   beta = beta-                then, `iterations` times:
+        R = diag(beta / alpha)
+        m, P = Kalman correction of m-, P- with R
+        beta = beta- + ((z - H m)^2 + diag(H P H')) / 2
+
+(IEEE Transactions on Automatic Control 54(3), pp. 596-600.) Q is taken to be known: the paper
+estimates R only. Its linear prediction is the extended Kalman filter's here.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, diagonal_matrix
+from fnn_ekf_ros.core.kalman import Correction, correct
+from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.study.rivals.shared import (
+    Prediction,
+    collect,
+    period_scale,
+    pose_difference,
+    predict,
+    row_values,
+    row_variances,
+    whole_batch,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class VariationalBayesSettings:
+    """Settings of the VB-AKF.
+
+    Attributes:
+        forgetting: rho, over 0 and up to 1; 1 / (1 - rho) innovations are remembered. Longer
+            memories gain at most 1 % where the noise is constant and follow changes later.
+        iterations: how often the fixed point is iterated, at least 1; 3 are as good as 10.
+        start_confidence: alpha of the start; it weighs as much as twice as many innovations.
+    """
+
+    forgetting: float = 0.99
+    iterations: int = 3
+    start_confidence: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what the method is not defined for."""
+        if not 0.0 < self.forgetting <= 1.0:
+            raise ValueError(f"forgetting is over 0 and at most 1, not {self.forgetting}")
+        if self.iterations < 1:
+            raise ValueError(f"iterations is at least 1, not {self.iterations}")
+        if not self.start_confidence > 0.0:
+            raise ValueError(f"start_confidence is over 0, not {self.start_confidence}")
+
+
+def run(
+    motion_model: MotionModel,
+    recording: Recording,
+    start: Start,
+    settings: VariationalBayesSettings,
+) -> Track:
+    """Run the VB-AKF over a recording.
+
+    Args:
+        motion_model: f(x, u).
+        recording: what the sensors said.
+        start: pose and noise to start from; Q stays.
+        settings: how much is remembered.
+
+    Returns:
+        The track; its `nis` is with R as it was before the step's own innovation taught anything.
+    """
+    mean, covariance, process_noise, measurement_noise = whole_batch(recording, start)
+    step_noise = process_noise * period_scale(recording)
+    alpha = np.full(measurement_noise.shape, settings.start_confidence)
+    beta = alpha * measurement_noise
+    steps: list[Correction] = []
+    for control, z, available in zip(
+        recording.control, recording.measurement, recording.available, strict=True
+    ):
+        predicted = predict(motion_model, mean, covariance, control, step_noise)
+        before = correct(
+            predicted.motion.mean, predicted.covariance, z, diagonal_matrix(beta / alpha), available
+        )
+        # A row that was not measured keeps what it knows, whether or not time passes.
+        forgetting = np.where(available, settings.forgetting, 1.0)
+        alpha = forgetting * alpha + 0.5 * available
+        corrected, beta = _fixed_point(
+            predicted, z, available, alpha, forgetting * beta, settings.iterations
+        )
+        mean, covariance = corrected.mean, corrected.covariance
+        steps.append(corrected._replace(nis=before.nis))
+    return collect(steps)
+
+
+def _fixed_point(
+    predicted: Prediction,
+    measurement: FloatArray,
+    available: BoolArray,
+    alpha: FloatArray,
+    beta_before: FloatArray,
+    iterations: int,
+) -> tuple[Correction, FloatArray]:
+    """Return the correction and beta after so many iterations."""
+    beta = beta_before
+    for _ in range(iterations):
+        corrected = correct(
+            predicted.motion.mean,
+            predicted.covariance,
+            measurement,
+            diagonal_matrix(beta / alpha),
+            available,
+        )
+        # H is linear, so z - H m is the innovation less what the state moved.
+        moved = row_values(pose_difference(corrected.mean, predicted.motion.mean))
+        square = (corrected.innovation - moved) ** 2 + row_variances(corrected.covariance)
+        beta = beta_before + 0.5 * np.where(available, square, 0.0)
+    return corrected, beta
