@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray, Row
+from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.fuzzy import FuzzySets, Inference, infer, infer_centroid
 from fnn_ekf_ros.core.window import InnovationWindow, mean_square
 
@@ -39,6 +40,7 @@ class AdaptationMode(StrEnum):
     NONE = "none"
     R = "r"
     Q = "q"
+    JOINT = "joint"
 
 
 class InferenceKind(StrEnum):
@@ -67,32 +69,16 @@ class FuzzyNetwork:
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseBounds:
-    """What no adaptation can leave: variances, all more than 0.
-
-    Attributes:
-        process_min: smallest (Q forward, Q heading) (m^2, rad^2).
-        process_max: largest.
-        measurement_min: smallest R diagonal, rows as in `Row` (m^2, m^2, rad^2, rad^2).
-        measurement_max: largest.
-    """
-
-    process_min: tuple[float, float]
-    process_max: tuple[float, float]
-    measurement_min: tuple[float, float, float, float]
-    measurement_max: tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
 class Adaptation:
     """How the noise is adapted.
 
     Attributes:
-        mode: which covariance.
+        mode: which covariance; `joint` is run by `joint.adapt_jointly`.
         kind: inference of the network.
         network: membership functions; the paper's two modes use one set for all axes.
         window_length: N of eq. 13; a row teaches once `SMALLEST_WINDOW_SHARE` of it is filled.
         bounds: limits of the adapted variances.
+        learning: False holds the noise where it is.
     """
 
     mode: AdaptationMode
@@ -100,6 +86,7 @@ class Adaptation:
     network: FuzzyNetwork
     window_length: int
     bounds: NoiseBounds
+    learning: bool = True
 
 
 class Adapted(NamedTuple):
@@ -159,11 +146,13 @@ def adapt(
     ready = available & (window.counts >= SMALLEST_WINDOW_SHARE * adaptation.window_length)
     mismatch = np.where(window.counts > 0.0, innovation_variance - mean_square(window), 0.0)
     unchanged = Adapted(process_noise, measurement_noise, mismatch, np.zeros((*mismatch.shape, 3)))
-    if adaptation.mode is AdaptationMode.NONE:
+    if not adaptation.learning:
         return unchanged
     if adaptation.mode is AdaptationMode.R:
         return _adapt_measurement_noise(adaptation, unchanged, ready, scales.measurement)
-    return _adapt_process_noise(adaptation, unchanged, ready, heading, scales.process)
+    if adaptation.mode is AdaptationMode.Q:
+        return _adapt_process_noise(adaptation, unchanged, ready, heading, scales.process)
+    return unchanged
 
 
 def _adapt_measurement_noise(

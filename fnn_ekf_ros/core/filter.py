@@ -10,20 +10,39 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import Adaptation, Scales, adapt
-from fnn_ekf_ros.core.arrays import (
-    STATE_SIZE,
-    BoolArray,
-    FloatArray,
-    diagonal_matrix,
+from fnn_ekf_ros.core.adaptation import Adaptation, AdaptationMode, Scales, adapt
+from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray
+from fnn_ekf_ros.core.joint import (
+    JointReport,
+    JointState,
+    adapt_jointly,
+    at_pose,
+    noise_in_use,
+    start_joint,
 )
-from fnn_ekf_ros.core.covariance import limit_uncertainty
-from fnn_ekf_ros.core.kalman import correct, predict_covariance
-from fnn_ekf_ros.core.motion import MotionModel, displacement, move
+from fnn_ekf_ros.core.kalman import correct
+from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.plant import (
+    NOMINAL_PERIOD_S,
+    Plant,
+    StepInput,
+    carry_to_end,
+    noise_matrix,
+    predict,
+    reported_scale,
+)
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window, push
 
-NOMINAL_PERIOD_S = 0.375
-"""The paper's period [s]; process noise is given for one step of this length."""
+__all__ = [
+    "NOMINAL_PERIOD_S",
+    "FilterModel",
+    "FilterState",
+    "StepInput",
+    "StepResult",
+    "reset_pose",
+    "start_filter",
+    "step",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +63,12 @@ class FilterModel:
     measurement_noise: tuple[float, float, float, float]
     adaptation: Adaptation
 
+    @property
+    def plant(self) -> Plant:
+        """What all filters of the robot share."""
+        scale = self.period_s / NOMINAL_PERIOD_S
+        return Plant(self.motion_model, scale, self.measurement_noise)
+
 
 class FilterState(NamedTuple):
     """Everything a filter remembers.
@@ -54,6 +79,7 @@ class FilterState(NamedTuple):
         process_noise: `(..., 2)` diagonal of Q for `NOMINAL_PERIOD_S` (m^2, rad^2).
         measurement_noise: `(..., 4)` diagonal of R, rows as in `Row`.
         window: the last innovations.
+        joint: what joint adaptation remembers; None in the other modes.
     """
 
     mean: FloatArray
@@ -61,26 +87,7 @@ class FilterState(NamedTuple):
     process_noise: FloatArray
     measurement_noise: FloatArray
     window: InnovationWindow
-
-
-class StepInput(NamedTuple):
-    """What one period brought.
-
-    Attributes:
-        control: `(..., 2)` [dS, dtheta] of the whole period (m, rad).
-        measurement: `(..., 4)` the latest measurement of each row (m, m, rad, rad).
-        available: `(..., 4)` which rows were measured.
-        control_at_measurement: `(..., 4, 2)` [dS, dtheta] from the period's begin to the
-            instant each row was measured at (m, rad); None where all were measured at its end.
-        measurement_covariance: `(..., 4, 4)` R as the sensors reported it, to be multiplied by
-            the adapted scale; None to use the filter's own R.
-    """
-
-    control: FloatArray
-    measurement: FloatArray
-    available: BoolArray
-    control_at_measurement: FloatArray | None = None
-    measurement_covariance: FloatArray | None = None
+    joint: JointState | None
 
 
 class StepResult(NamedTuple):
@@ -93,7 +100,9 @@ class StepResult(NamedTuple):
         nis: `(...)` normalised innovation squared of the available rows.
         degrees_of_freedom: `(...)` how many rows that were.
         mismatch: `(..., 4)` D = S - C_hat.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D.
+        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D; of the four log scales in
+            mode `joint`.
+        joint: what joint adaptation believes; None in the other modes.
     """
 
     innovation: FloatArray
@@ -103,6 +112,7 @@ class StepResult(NamedTuple):
     degrees_of_freedom: FloatArray
     mismatch: FloatArray
     firing_strength: FloatArray
+    joint: JointReport | None
 
 
 def start_filter(
@@ -122,14 +132,19 @@ def start_filter(
         measurement_noise: `(..., 4)` R to start from instead of the model's.
     """
     batch = mean.shape[:-1]
+    covariance = np.broadcast_to(covariance, (*batch, STATE_SIZE, STATE_SIZE))
     Q = np.asarray(model.process_noise if process_noise is None else process_noise)
     R = np.asarray(model.measurement_noise if measurement_noise is None else measurement_noise)
+    Q = np.broadcast_to(Q, (*batch, Q.shape[-1]))
+    R = np.broadcast_to(R, (*batch, R.shape[-1]))
+    joint = model.adaptation.mode is AdaptationMode.JOINT
     return FilterState(
         mean=mean,
-        covariance=np.broadcast_to(covariance, (*batch, STATE_SIZE, STATE_SIZE)),
-        process_noise=np.broadcast_to(Q, (*batch, Q.shape[-1])),
-        measurement_noise=np.broadcast_to(R, (*batch, R.shape[-1])),
+        covariance=covariance,
+        process_noise=Q,
+        measurement_noise=R,
         window=empty_window(model.adaptation.window_length, batch),
+        joint=start_joint(mean, covariance, Q, R) if joint else None,
     )
 
 
@@ -137,7 +152,10 @@ def reset_pose(state: FilterState, mean: FloatArray, covariance: FloatArray) -> 
     """Return the state at another pose; the adapted noise is kept, old innovations are not."""
     length = state.window.squares.shape[-2]
     return state._replace(
-        mean=mean, covariance=covariance, window=empty_window(length, mean.shape[:-1])
+        mean=mean,
+        covariance=covariance,
+        window=empty_window(length, mean.shape[:-1]),
+        joint=None if state.joint is None else at_pose(state.joint, mean, covariance),
     )
 
 
@@ -154,17 +172,15 @@ def step(
     Returns:
         The state at the period's end, and what the period showed.
     """
-    motion = move(model.motion_model, state.mean, period.control)
-    period_scale = model.period_s / NOMINAL_PERIOD_S
-    covariance = limit_uncertainty(
-        predict_covariance(state.covariance, motion, state.process_noise * period_scale)
+    plant = model.plant
+    mean, covariance = predict(
+        plant, state.mean, state.covariance, state.process_noise, period.control
     )
-
     corrected = correct(
-        motion.mean,
+        mean,
         covariance,
-        _carry(model, state, period),
-        _noise_matrix(model, state, period),
+        carry_to_end(plant, state.mean[..., 2], period),
+        noise_matrix(plant, state.measurement_noise, period),
         period.available,
     )
 
@@ -176,16 +192,19 @@ def step(
         window,
         corrected.innovation_variance,
         period.available,
-        motion.mean[..., 2],
-        Scales(process=period_scale, measurement=_reported_scale(model, period)),
+        mean[..., 2],
+        Scales(process=plant.period_scale, measurement=reported_scale(plant, period)),
     )
-    after = FilterState(
-        corrected.mean,
-        corrected.covariance,
-        adapted.process_noise,
-        adapted.measurement_noise,
-        window,
-    )
+    Q, R, alpha = adapted.process_noise, adapted.measurement_noise, adapted.firing_strength
+    joint, report = state.joint, None
+    if joint is not None:
+        how = model.adaptation
+        joint, report = adapt_jointly(
+            plant, how.network.sets, how.bounds, joint, period, how.learning
+        )
+        Q, R = noise_in_use(joint, how.bounds)
+        alpha = report.firing_strength
+    after = FilterState(corrected.mean, corrected.covariance, Q, R, window, joint)
     result = StepResult(
         corrected.innovation,
         corrected.innovation_variance,
@@ -193,40 +212,7 @@ def step(
         corrected.nis,
         corrected.degrees_of_freedom,
         adapted.mismatch,
-        adapted.firing_strength,
+        alpha,
+        report,
     )
     return after, result
-
-
-def _carry(model: FilterModel, state: FilterState, period: StepInput) -> FloatArray:
-    """Carry the measurements from the instants they were taken at to the period's end."""
-    if period.control_at_measurement is None:
-        return period.measurement
-    heading = state.mean[..., 2, None]
-    end = displacement(model.motion_model, heading, period.control[..., None, :])
-    since = end - displacement(model.motion_model, heading, period.control_at_measurement)
-    # Row i takes the component it measures: x from row 0, y from row 1, yaw from rows 2 and 3.
-    moved = np.stack(
-        [since[..., 0, 0], since[..., 1, 1], since[..., 2, 2], since[..., 3, 2]], axis=-1
-    )
-    return period.measurement + moved
-
-
-def _noise_matrix(model: FilterModel, state: FilterState, period: StepInput) -> FloatArray:
-    """Return R: the filter's own, or what the sensors reported times the adapted scale."""
-    own = diagonal_matrix(state.measurement_noise)
-    if period.measurement_covariance is None:
-        return own
-    scale: FloatArray = np.sqrt(state.measurement_noise / np.asarray(model.measurement_noise))
-    reported = period.measurement_covariance * scale[..., :, None] * scale[..., None, :]
-    both = period.available[..., :, None] & period.available[..., None, :]
-    return np.where(both, reported, own)
-
-
-def _reported_scale(model: FilterModel, period: StepInput) -> FloatArray:
-    """Return by how much the R in use moves when the filter's own R moves by one, `(..., 4)`."""
-    own = np.asarray(model.measurement_noise)
-    if period.measurement_covariance is None:
-        return np.ones_like(own)
-    reported = np.diagonal(period.measurement_covariance, axis1=-2, axis2=-1)
-    return np.where(period.available, reported / own, 1.0)

@@ -34,6 +34,24 @@ MEASUREMENT_JACOBIAN: FloatArray = np.array(
 _IDENTITY = np.eye(STATE_SIZE)
 
 
+class Innovation(NamedTuple):
+    """What a measurement says against a prediction.
+
+    Attributes:
+        innovation: `(..., 4)` r (m, m, rad, rad), rows as in `Row`; 0 where not available.
+        innovation_covariance: `(..., 4, 4)` S; rows that are not available are unit rows.
+        kalman_gain: `(..., 3, 4)` K.
+        nis: `(...)` normalised innovation squared r' S^-1 r of the available rows; 0 if none.
+        degrees_of_freedom: `(...)` number of available rows.
+    """
+
+    innovation: FloatArray
+    innovation_covariance: FloatArray
+    kalman_gain: FloatArray
+    nis: FloatArray
+    degrees_of_freedom: FloatArray
+
+
 class Correction(NamedTuple):
     """Result of `correct`.
 
@@ -71,14 +89,14 @@ def predict_covariance(
     )
 
 
-def correct(
+def innovate(
     mean: FloatArray,
     covariance: FloatArray,
     measurement: FloatArray,
     measurement_noise: FloatArray,
     available: BoolArray,
-) -> Correction:
-    """Correct a predicted state by the rows that are available.
+) -> Innovation:
+    """Compare a predicted state with the rows that are available.
 
     Args:
         mean: `(..., 3)` x- (m, m, rad).
@@ -96,25 +114,57 @@ def correct(
 
     mask = available.astype(np.float64)
     H = MEASUREMENT_JACOBIAN * mask[..., None]
-    R = measurement_noise * mask[..., :, None] * mask[..., None, :]
     PHt = covariance @ transpose(H)
-    S = symmetrize(H @ PHt + R + diagonal_matrix(1.0 - mask))
+    S = symmetrize(H @ PHt + _masked(measurement_noise, mask) + diagonal_matrix(1.0 - mask))
     # One solve gives the gain and the whitened innovation: S [K' | S^-1 r] = [H P | r].
     solved = np.linalg.solve(S, np.concatenate([transpose(PHt), r[..., None]], axis=-1))
-    K = transpose(solved[..., :STATE_SIZE])
-    nis = np.sum(r * solved[..., STATE_SIZE], axis=-1)
+    return Innovation(
+        innovation=r,
+        innovation_covariance=S,
+        kalman_gain=transpose(solved[..., :STATE_SIZE]),
+        nis=np.sum(r * solved[..., STATE_SIZE], axis=-1),
+        degrees_of_freedom=np.sum(mask, axis=-1),
+    )
 
+
+def update(
+    mean: FloatArray,
+    covariance: FloatArray,
+    measurement_noise: FloatArray,
+    available: BoolArray,
+    innovation: Innovation,
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean `(..., 3)` and covariance `(..., 3, 3)` corrected by an innovation of theirs."""
+    mask = available.astype(np.float64)
+    H = MEASUREMENT_JACOBIAN * mask[..., None]
+    K, r = innovation.kalman_gain, innovation.innovation
     corrected = mean + (K @ r[..., None])[..., 0]
     I_KH = _IDENTITY - K @ H
-    P = symmetrize(I_KH @ covariance @ transpose(I_KH) + K @ R @ transpose(K))
+    P = I_KH @ covariance @ transpose(I_KH) + K @ _masked(measurement_noise, mask) @ transpose(K)
     corrected = np.concatenate([corrected[..., :2], wrap_angle(corrected[..., 2:])], axis=-1)
+    return corrected, symmetrize(P)
 
+
+def correct(
+    mean: FloatArray,
+    covariance: FloatArray,
+    measurement: FloatArray,
+    measurement_noise: FloatArray,
+    available: BoolArray,
+) -> Correction:
+    """Correct a predicted state by the rows that are available; arguments as of `innovate`."""
+    seen = innovate(mean, covariance, measurement, measurement_noise, available)
+    corrected, P = update(mean, covariance, measurement_noise, available, seen)
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)[..., [0, 1, 2, 2]]
     return Correction(
         mean=corrected,
         covariance=P,
-        innovation=r,
+        innovation=seen.innovation,
         innovation_variance=variance + np.diagonal(measurement_noise, axis1=-2, axis2=-1),
-        nis=nis,
-        degrees_of_freedom=np.sum(mask, axis=-1),
+        nis=seen.nis,
+        degrees_of_freedom=seen.degrees_of_freedom,
     )
+
+
+def _masked(matrix: FloatArray, mask: FloatArray) -> FloatArray:
+    return matrix * mask[..., :, None] * mask[..., None, :]

@@ -14,7 +14,7 @@ from fnn_ekf_ros.text_files import read_text, write_text
 from fnn_ekf_ros.yaml_text import load_yaml
 
 FORMAT_VERSION = 1
-PACKAGED = ("initial", "published", "trained")
+PACKAGED = ("initial", "published", "trained", "joint_initial", "joint")
 SMALLEST, LARGEST = 1e-15, 1e15
 """Sizes of numbers that leave room for products of them."""
 REMEDY = "write it again with `train --out`"

@@ -126,8 +126,8 @@ class LocalizerParameters(Parameters):
 
     # Adaptation
     adaptation: str = parameter(
-        "none",
-        "What the fuzzy neural network adapts: none, r (measurement) or q (process).",
+        "joint",
+        "What the fuzzy neural network adapts: joint (both), r (measurement), q (process) or none.",
         choices=tuple(AdaptationMode),
     )
     innovation_window: int = parameter(
@@ -140,6 +140,9 @@ class LocalizerParameters(Parameters):
     membership_file: str = parameter(
         "published",
         "Membership functions: initial or published (the paper's), trained, or a file's path.",
+    )
+    joint_membership_file: str = parameter(
+        "joint", "Membership functions of mode joint: joint, or a file's path."
     )
     inference: str = parameter(
         "tsukamoto",
@@ -195,6 +198,11 @@ class LocalizerParameters(Parameters):
     # Frames
     frame_id: str = parameter("map", "Frame of odom and of the fixes.")
     base_frame: str = parameter("base_link", "Frame of the robot: the middle of the axle.")
+
+    def network_file(self) -> str:
+        """Return the name of the membership functions that the adaptation uses."""
+        joint = self.adaptation == AdaptationMode.JOINT
+        return self.joint_membership_file if joint else self.membership_file
 
     def check(self) -> None:
         """Check that ticks have a size and that the noise starts within its bounds.

@@ -7,8 +7,8 @@ from fnn_ekf_ros.core.adaptation import (
     AdaptationMode,
     FuzzyNetwork,
     InferenceKind,
-    NoiseBounds,
 )
+from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.filter import FilterModel
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.odometry import WheelGeometry

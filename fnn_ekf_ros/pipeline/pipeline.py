@@ -58,7 +58,7 @@ class Pipeline:
 
     Args:
         parameters: the localizer's parameters.
-        network: the membership functions that `membership_file` names.
+        network: the membership functions that `network_file()` names.
     """
 
     def __init__(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
@@ -114,7 +114,7 @@ class Pipeline:
     def report(self) -> tuple[Status, ...]:
         """Return the statuses as they are now."""
         now_ns = self._checkpoints[-1].stamp_ns if self._checkpoints else 0
-        return self._health.report(now_ns, self._state(), None, self._model.adaptation.mode)
+        return self._health.report(now_ns, self._state(), None, self._mode())
 
     def reset(self) -> None:
         """Forget the pose and all that was adapted, as at start-up."""
@@ -127,10 +127,13 @@ class Pipeline:
 
     def enable_adaptation(self, enabled: bool) -> None:
         """Let the network move the noise, or hold the noise where it is now."""
-        mode = AdaptationMode(self.parameters.adaptation) if enabled else AdaptationMode.NONE
         self._model = dataclasses.replace(
-            self._model, adaptation=dataclasses.replace(self._model.adaptation, mode=mode)
+            self._model, adaptation=dataclasses.replace(self._model.adaptation, learning=enabled)
         )
+
+    def _mode(self) -> AdaptationMode:
+        adaptation = self._model.adaptation
+        return adaptation.mode if adaptation.learning else AdaptationMode.NONE
 
     def _restart(self) -> None:
         """Forget the pose and the inputs; the noise that was adapted last is kept."""
@@ -265,7 +268,7 @@ class Pipeline:
     def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:
         if end_ns // HEALTH_INTERVAL_NS == (end_ns - self._period_ns) // HEALTH_INTERVAL_NS:
             return None
-        return self._health.report(end_ns, self._state(), estimate, self._model.adaptation.mode)
+        return self._health.report(end_ns, self._state(), estimate, self._mode())
 
     def _forget(self) -> None:
         """Drop what lies further back than `history`."""

@@ -180,5 +180,5 @@ def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
         parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
-        network = read_membership(parameters.membership_file)
+        network = read_membership(parameters.network_file())
         return spin_until_stopped(lambda: LocalizerNode(parameters, network))

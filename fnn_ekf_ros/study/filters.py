@@ -30,6 +30,7 @@ ORACLE = "oracle"
 DEAD_RECKONING = "dead_reckoning"
 BANK = "multiple_model"
 ADAPTIVE: tuple[tuple[str, str, dict[str, str]], ...] = (
+    ("joint", "FNN-EKF joint", {"adaptation": "joint"}),
     ("r_published", "FNN-EKF R, published", {"adaptation": "r", "membership_file": "published"}),
     ("r_trained", "FNN-EKF R, trained", {"adaptation": "r", "membership_file": "trained"}),
     ("q_published", "FNN-EKF Q, published", {"adaptation": "q", "membership_file": "published"}),
@@ -141,7 +142,7 @@ def empty_track(steps: int, start: Start) -> Track:
 
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
     changed = dataclasses.replace(parameters, **changes)
-    return filter_model(changed, read_membership(changed.membership_file))
+    return filter_model(changed, read_membership(changed.network_file()))
 
 
 def _blind(recording: Recording) -> Recording:

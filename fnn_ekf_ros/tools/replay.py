@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
-    network = read_membership(parameters.membership_file)
+    network = read_membership(parameters.network_file())
     names = _Names(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:

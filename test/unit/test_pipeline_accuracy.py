@@ -44,7 +44,8 @@ def errors(make_pipeline: MakePipeline, feed: Any, simulated: Any) -> Callable[.
     @functools.cache
     def run(seed: int, seconds: float = SECONDS, path: str = "sim2", **changes: Any) -> Errors:
         sent = simulated(seed, seconds, path=path)
-        return errors_of(feed(make_pipeline(**changes), sent.arrivals), sent.truth)
+        pipeline = make_pipeline(**{"adaptation": "none", **changes})
+        return errors_of(feed(pipeline, sent.arrivals), sent.truth)
 
     return run
 
@@ -102,7 +103,8 @@ def test_with_the_right_noise_innovations_are_as_large_as_expected(
     """NIS of a right filter is white, so every period counts: 99 % band as above."""
     nis, freedom = [], []
     for seed in SEEDS:
-        for output in feed(make_pipeline(), simulated(seed, SECONDS, path="sim2").arrivals):
+        pipeline = make_pipeline(adaptation="none")
+        for output in feed(pipeline, simulated(seed, SECONDS, path="sim2").arrivals):
             if output.estimate is not None and output.estimate.result is not None:
                 nis.append(float(output.estimate.result.nis))
                 freedom.append(float(output.estimate.result.degrees_of_freedom))

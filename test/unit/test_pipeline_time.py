@@ -374,7 +374,7 @@ def test_there_is_nothing_to_enable_without_an_adaptation(
     arrivals = simulated(11, 30.0).arrivals
     pipeline = make_pipeline(adaptation="none")
     pipeline.enable_adaptation(True)
-    same_estimates(feed(pipeline, arrivals), feed(make_pipeline(), arrivals))
+    same_estimates(feed(pipeline, arrivals), feed(make_pipeline(adaptation="none"), arrivals))
 
 
 def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_held(

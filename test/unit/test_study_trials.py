@@ -123,7 +123,8 @@ def test_a_batch_is_what_its_robots_are_one_by_one(
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("ekf", {}),
+        ("ekf", {"adaptation": "none"}),
+        ("joint", {"adaptation": "joint"}),
         ("r_published", {"adaptation": "r", "membership_file": "published"}),
         ("q_trained", {"adaptation": "q", "membership_file": "trained"}),
     ],
@@ -136,7 +137,7 @@ def test_filters_are_the_localizers_own(
     recording, start = tiny
     track = study_filters(make_parameters(**shared))[name].run(recording, start)
     parameters = make_parameters(**shared, **changes)
-    model = filter_model(parameters, read_membership(parameters.membership_file))
+    model = filter_model(parameters, read_membership(parameters.network_file()))
     state = start_filter(model, *start)
     for t in range(TINY.steps):
         period = StepInput(
