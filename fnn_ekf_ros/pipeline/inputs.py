@@ -38,12 +38,14 @@ class PeriodInputs(NamedTuple):
         counts: of the wheels at the period's end; the next period begins with them.
         reset: the last pose that was set in the period, if any.
         control_since_reset: `(2,)` [dS, dtheta] from then to the period's end (m, rad).
+        wheels_known: whether both wheels had spoken by its begin.
     """
 
     step: StepInput
     counts: Counts
     reset: PoseReset | None
     control_since_reset: FloatArray
+    wheels_known: bool
 
 
 class _Queue(Generic[EventT]):
@@ -168,6 +170,7 @@ class InputBuffer:
             self.counts_at(end_ns),
             reset,
             whole - control(reset.stamp_ns) if reset is not None else np.zeros(2),
+            self.wheels_known_at(begin_ns),
         )
 
     def forget_before(self, stamp_ns: int) -> None:

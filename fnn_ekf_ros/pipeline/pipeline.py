@@ -8,28 +8,21 @@ the closed periods are run again with what is known now, without being published
 
 import dataclasses
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import (
-    NOMINAL_PERIOD_S,
-    FilterModel,
-    FilterState,
-    StepResult,
-    reset_pose,
-    start_filter,
-    step,
-)
-from fnn_ekf_ros.core.motion import move
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, FilterModel, FilterState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, PoseReset, Rejected, Status
 from fnn_ekf_ros.pipeline.health import Health
-from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer, PeriodInputs
-from fnn_ekf_ros.pipeline.start import Waiting, wait
+from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer
+from fnn_ekf_ros.pipeline.period import Period, run_period, start_at
+from fnn_ekf_ros.pipeline.start import Waiting
 
 LONGEST_SILENCE_PERIODS = 1600
 """A clock that jumps ahead by more starts the localizer anew instead of filling the time; ten
@@ -59,10 +52,17 @@ class Pipeline:
     Args:
         parameters: the localizer's parameters.
         network: the membership functions that `network_file()` names.
+        on_period: is told of every period that is run, again when late inputs have it run again.
     """
 
-    def __init__(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
+    def __init__(
+        self,
+        parameters: LocalizerParameters,
+        network: FuzzyNetwork,
+        on_period: Callable[[Period], None] | None = None,
+    ) -> None:
         self.parameters = parameters
+        self._on_period = on_period
         self._model = filter_model(parameters, network)
         self._health = Health(parameters)
         self._period_ns = round(parameters.period * 1e9)
@@ -172,7 +172,8 @@ class Pipeline:
             begin_ns -= self._history_ns
         else:
             covariance = np.diag(np.square(self.parameters.initial_pose_std))
-            state = self._started(waiting, np.array(self.parameters.initial_pose), covariance)
+            pose = np.array(self.parameters.initial_pose)
+            state = start_at(self._model, waiting, pose, covariance)
         begin_ns = (begin_ns - 1) // self._period_ns * self._period_ns
         self._checkpoints.append(_Checkpoint(begin_ns, state, None, self._model))
 
@@ -222,17 +223,11 @@ class Pipeline:
         self, before: _Checkpoint, end_ns: int, model: FilterModel
     ) -> tuple[_Checkpoint, Estimate | None]:
         counts = before.counts or self._inputs.counts_at(before.stamp_ns)
-        period = self._inputs.period(before.stamp_ns, end_ns, counts)
-        state: FilterState | Waiting
-        result: StepResult | None = None
-        if isinstance(before.state, Waiting):
-            state = before.state
-            if self._inputs.wheels_known_at(before.stamp_ns):
-                state = wait(model, before.state, period.step)
-        else:
-            state, result = step(model, before.state, period.step)
-        state = self._set_pose(state, period)
-        checkpoint = _Checkpoint(end_ns, state, period.counts, model)
+        inputs = self._inputs.period(before.stamp_ns, end_ns, counts)
+        state, result = run_period(model, before.state, inputs)
+        if self._on_period is not None:
+            self._on_period(Period(end_ns, inputs, before.state, state))
+        checkpoint = _Checkpoint(end_ns, state, inputs.counts, model)
         if isinstance(state, Waiting):
             return checkpoint, None
         if not np.all(np.isfinite(state.mean)):
@@ -243,26 +238,9 @@ class Pipeline:
         return checkpoint, Estimate(
             stamp_ns=end_ns,
             state=state,
-            twist=period.step.control / T,
+            twist=inputs.step.control / T,
             twist_variance=state.process_noise * (T / NOMINAL_PERIOD_S) / T**2,
             result=result,
-        )
-
-    def _set_pose(
-        self, state: FilterState | Waiting, period: PeriodInputs
-    ) -> FilterState | Waiting:
-        """Return the state after a pose that was set from outside, if one was."""
-        if period.reset is None:
-            return state
-        moved = move(self._model.motion_model, period.reset.pose, period.control_since_reset)
-        covariance = period.reset.covariance
-        if isinstance(state, Waiting):
-            return self._started(state, moved.mean, covariance)
-        return reset_pose(state, moved.mean, covariance)
-
-    def _started(self, waiting: Waiting, mean: FloatArray, covariance: FloatArray) -> FilterState:
-        return start_filter(
-            self._model, mean, covariance, waiting.process_noise, waiting.measurement_noise
         )
 
     def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:

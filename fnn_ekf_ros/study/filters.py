@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,10 +27,12 @@ from fnn_ekf_ros.study.rivals.sage_husa import SageHusaSettings
 from fnn_ekf_ros.study.rivals.variational_bayes import VariationalBayesSettings
 
 ORACLE = "oracle"
+EKF = "ekf"
+JOINT = "joint"
 DEAD_RECKONING = "dead_reckoning"
 BANK = "multiple_model"
 ADAPTIVE: tuple[tuple[str, str, dict[str, str]], ...] = (
-    ("joint", "FNN-EKF joint", {"adaptation": "joint"}),
+    (JOINT, "FNN-EKF joint", {"adaptation": "joint"}),
     ("r_published", "FNN-EKF R, published", {"adaptation": "r", "membership_file": "published"}),
     ("r_trained", "FNN-EKF R, trained", {"adaptation": "r", "membership_file": "trained"}),
     ("q_published", "FNN-EKF Q, published", {"adaptation": "q", "membership_file": "published"}),
@@ -56,25 +58,52 @@ class StudyFilter:
     run: Callable[[Recording, Start], Track]
 
 
+class LocalizerModel(NamedTuple):
+    """A filter that the localizer itself can be told to be.
+
+    Attributes:
+        label: what tables and figures call it.
+        model: the filter.
+    """
+
+    label: str
+    model: FilterModel
+
+
+def localizer_models(parameters: LocalizerParameters) -> dict[str, LocalizerModel]:
+    """Return the localizer's own filters by name, the EKF first.
+
+    Args:
+        parameters: of every filter, but for what its name says.
+    """
+    fixed = _model(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
+    return {EKF: LocalizerModel("EKF", fixed)} | {
+        name: LocalizerModel(label, _model(parameters, **changes))
+        for name, label, changes in ADAPTIVE
+    }
+
+
 def study_filters(parameters: LocalizerParameters) -> dict[str, StudyFilter]:
     """Return all filters by name.
 
     Args:
         parameters: of every filter, but for what its name says and the noise it starts with.
     """
-    fixed = _model(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
+    models = localizer_models(parameters)
+    fixed = models[EKF].model
     filters = [
         StudyFilter(
             DEAD_RECKONING,
             "dead reckoning",
             lambda recording, start: run(fixed, _blind(recording), start),
         ),
-        StudyFilter("ekf", "EKF", partial(run, fixed)),
+        StudyFilter(EKF, models[EKF].label, partial(run, fixed)),
         StudyFilter(ORACLE, "oracle EKF", partial(run, fixed, knows_noise=True)),
     ]
     filters += [
-        StudyFilter(name, label, partial(run, _model(parameters, **changes)))
-        for name, label, changes in ADAPTIVE
+        StudyFilter(name, label, partial(run, model))
+        for name, (label, model) in models.items()
+        if name != EKF
     ]
     f = MotionModel(parameters.motion_model)
     filters += [

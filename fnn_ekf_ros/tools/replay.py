@@ -1,7 +1,6 @@
 """`replay IN OUT`: the localizer's own pipeline over a recording, bag in, bag out."""
 
 import argparse
-import re
 import sys
 import time
 from dataclasses import asdict
@@ -9,18 +8,21 @@ from pathlib import Path
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import STORAGES, BagError, BagReader, BagWriter, Record, Topic
-from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix, Rejected
+from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
+from fnn_ekf_ros.tools.bag_inputs import (
+    TopicNames,
+    add_remapping_argument,
+    inputs_in,
+    last_words,
+    read_events,
+)
 from fnn_ekf_ros.tools.progress import with_progress
-
-_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-"""A topic's name as ROS allows it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,10 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="IN", type=Path, help="the recording to replay")
     parser.add_argument("out", metavar="OUT", type=Path, help="the bag to write (a new folder)")
     add_parameter_arguments(parser)
-    parser.add_argument(
-        "-r", dest="remappings", metavar="FROM:=TO", action="append", default=[],
-        help="the topic the recording has for one of the localizer's, as in ros2 run",
-    )  # fmt: skip
+    add_remapping_argument(parser)
     parser.add_argument(
         "--dead-reckoning", action="store_true",
         help="wheels only: ignore fixes and compass once the filter has started, to compare with",
@@ -43,10 +42,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
     network = read_membership(parameters.network_file())
-    names = _Names(arguments.remappings)
+    names = TopicNames(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
-        inputs = _inputs_in(bag, parameters, names)
+        inputs = inputs_in(bag, parameters, names)
         replaced = {names.of(topic) for topic in (messages.ODOM, messages.NOISE)}
         names.check(replaced, set(inputs))
         for topic in replaced & bag.topics.keys():
@@ -71,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
             if not estimates:
                 raise BagError(
                     f"bag '{arguments.bag}' gives no odom: expected encoders, fixes and a yaw "
-                    f"that start the filter; {_last_words(pipeline)}"
+                    f"that start the filter; {last_words(pipeline)}"
                 )
             duration = bag.duration_s
     took = time.monotonic() - began
@@ -80,39 +79,6 @@ def run(arguments: argparse.Namespace) -> int:
         f"({duration / took:.0f} times real time)"
     )
     return 0
-
-
-class _Names:
-    """Topic names of the localizer, remapped."""
-
-    def __init__(self, remappings: list[str]) -> None:
-        known = {
-            messages.absolute_name(topic): topic
-            for topic in (*messages.INPUT_TYPES, messages.ODOM, f"~/{messages.NOISE}")
-        }
-        self._to: dict[str, str] = {}
-        for text in remappings:
-            source, separator, target = text.partition(":=")
-            if not (separator and _NAME.fullmatch(target)):
-                raise FnnEkfError(f"-r {text}: expected FROM:=TO, TO a topic's name")
-            if messages.absolute_name(source) not in known:
-                raise FnnEkfError(f"-r {text}: expected one of {', '.join(known.values())}")
-            self._to[messages.absolute_name(source)] = messages.absolute_name(target)
-
-    def of(self, topic: str) -> str:
-        """Return the absolute name of one of the localizer's topics."""
-        own = f"~/{topic}" if topic == messages.NOISE else topic
-        name = messages.absolute_name(own)
-        return self._to.get(name, name)
-
-    def check(self, outputs: set[str], inputs: set[str]) -> None:
-        """Check that no two topics share a name.
-
-        Raises:
-            FnnEkfError: remappings put one onto another.
-        """
-        if len(outputs) < 2 or outputs & {*inputs, messages.DIAGNOSTICS}:
-            raise FnnEkfError(f"-r: {', '.join(sorted(outputs))} would share a name with another")
 
 
 class _DeadReckoning:
@@ -144,27 +110,6 @@ def _is_own_diagnostics(bag: BagReader, record: Record) -> bool:
     return any(status.hardware_id == NODE_NAME for status in bag.message(record).status)
 
 
-def _inputs_in(bag: BagReader, parameters: LocalizerParameters, names: _Names) -> dict[str, str]:
-    """Return the localizer's topic for each of the recording's that it listens to."""
-    inputs = {}
-    for topic in messages.input_topics(parameters):
-        name = names.of(topic)
-        found = bag.topics.get(name)
-        expected = messages.INPUT_TYPES[topic]
-        if found is not None:
-            if found.type_name != expected:
-                raise BagError(
-                    f"bag '{bag.path}': topic {name} is {found.type_name}, expected {expected}"
-                )
-            inputs[name] = topic
-        elif topic not in (messages.COMPASS, messages.INITIAL_POSE):
-            raise BagError(
-                f"bag '{bag.path}' has no topic {name} ({expected}): it has "
-                f"{', '.join(sorted(bag.topics)) or 'none'}; -r {topic}:=NAME takes another"
-            )
-    return inputs
-
-
 def _feed(
     pipeline: Pipeline,
     bag: BagReader,
@@ -172,12 +117,8 @@ def _feed(
     topic: str,
     dead_reckoning: _DeadReckoning | None,
 ) -> list[Output]:
-    events = messages.read_input(topic, bag.message(record), record.time_ns, pipeline.parameters)
-    if isinstance(events, Rejected):
-        pipeline.reject(events)
-        return []
     closed: list[Output] = []
-    for event in events:
+    for event in read_events(pipeline, bag, record, topic):
         if dead_reckoning is None or not dead_reckoning.blocks(event):
             closed += pipeline.add(event, record.time_ns)
     if dead_reckoning is not None:
@@ -186,7 +127,7 @@ def _feed(
 
 
 def _write(
-    out: BagWriter, names: _Names, output: Output, time_ns: int, parameters: LocalizerParameters
+    out: BagWriter, names: TopicNames, output: Output, time_ns: int, parameters: LocalizerParameters
 ) -> int:
     """Write what a closed period gives; returns the number of odom messages."""
     estimate = output.estimate
@@ -198,9 +139,3 @@ def _write(
         diagnostics = messages.diagnostics(output.stamp_ns, NODE_NAME, output.health)
         out.write(messages.DIAGNOSTICS, diagnostics, time_ns)
     return int(estimate is not None)
-
-
-def _last_words(pipeline: Pipeline) -> str:
-    return "; ".join(
-        f"{status.name}: {status.message}" for status in pipeline.report() if status.level > 0
-    )
