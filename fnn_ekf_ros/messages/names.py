@@ -1,6 +1,8 @@
 """Names and types of the topics, and what the numbers of `~/noise` are."""
 
 from fnn_ekf_ros.core.arrays import Row
+from fnn_ekf_ros.core.evidence import SCALES
+from fnn_ekf_ros.core.joint import HYPOTHESES
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 
 LEFT_TICKS = "left_ticks"
@@ -53,8 +55,14 @@ NOISE_FIELDS = (
         for row in Row
         for rule in ("increase", "maintain", "decrease")
     ),
+    *(f"log_scale_{name}" for name in SCALES),
+    *(f"weight_{name}" for name in HYPOTHESES),
 )
-"""What each number of `~/noise` is; variances in m^2 and rad^2."""
+"""What each number of `~/noise` is; variances in m^2 and rad^2.
+
+In mode `joint` the firing strengths are those of the four log scales, in their order. Log scales
+and weights are 0 in the other modes.
+"""
 
 
 def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:

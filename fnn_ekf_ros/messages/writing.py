@@ -129,6 +129,8 @@ def noise(estimate: Estimate) -> Message:
             *result.mismatch,
             *np.ravel(result.firing_strength),
         ]
+        if result.joint is not None:
+            data += [*result.joint.log_scale, *result.joint.weights]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
     dimension = Message(
         "std_msgs/msg/MultiArrayDimension",

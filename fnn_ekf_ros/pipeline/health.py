@@ -15,6 +15,7 @@ import numpy as np
 from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.filter import FilterState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.belief import Values, belief_in_words
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Estimate,
@@ -27,8 +28,6 @@ from fnn_ekf_ros.pipeline.events import (
     WheelCount,
 )
 from fnn_ekf_ros.pipeline.start import Waiting
-
-Values = tuple[tuple[str, str], ...]
 
 STALE_NS = 3 * 10**9
 """A sensor that has been silent for longer is called stale [ns]."""
@@ -135,8 +134,9 @@ class Health:
     def _filter(
         self, state: FilterState | Waiting, estimate: Estimate | None, mode: AdaptationMode
     ) -> Status:
+        asked = self._parameters.adaptation
         values: Values = (
-            ("adaptation", mode.value),
+            ("adaptation", asked if mode == asked else f"{asked}, disabled"),
             ("process noise std [m, rad]", _stds(state.process_noise)),
             ("measurement noise std [m, m, rad, rad]", _stds(state.measurement_noise)),
         )
@@ -157,6 +157,8 @@ class Health:
                 ("NIS", f"{float(result.nis):.3g}"),
                 ("degrees of freedom", f"{int(result.degrees_of_freedom)}"),
             )
+            if result.joint is not None:
+                values += belief_in_words(result.joint)
         return Status("filter", Level.OK, "running", values)
 
     def _time(self) -> Status:

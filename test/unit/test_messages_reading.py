@@ -1,4 +1,4 @@
-"""What messages mean, what is refused in them, and what is written."""
+"""What messages mean, and what is refused in them."""
 
 import math
 from collections.abc import Callable
@@ -12,17 +12,13 @@ from hypothesis import strategies as st
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.messages import NOISE_FIELDS, Message
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
-    Estimate,
-    Level,
     PoseFix,
     PoseReset,
     Rejected,
     Sensor,
-    Status,
     Wheel,
     WheelCount,
 )
@@ -311,169 +307,3 @@ def test_the_localizer_listens_to_one_source_of_counts(make_parameters: MakePara
     assert set(by_ticks[-2:]) == {"left_ticks", "right_ticks"}  # they close periods: last
     assert by_joints[-1] == "joint_states"
     assert set(messages.INPUT_TYPES) == others | {"left_ticks", "right_ticks", "joint_states"}
-
-
-@pytest.fixture(scope="module")
-def estimates(make_pipeline: Any, feed: Any, simulated: Any) -> list[Estimate]:
-    """Estimates of a run of a filter that learns; the first is the start."""
-    outputs = feed(make_pipeline(adaptation="r"), simulated(11, 30.0).arrivals)
-    return [output.estimate for output in outputs if output.estimate is not None]
-
-
-def test_odometry_carries_pose_twist_and_their_covariances(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
-    estimate = estimates[-1]
-    made = messages.odometry(estimate, "map", "base_link")
-    assert made.type_name == "nav_msgs/msg/Odometry"
-    message = as_object(made)
-    assert messages.stamp_ns(message) == estimate.stamp_ns
-    assert (message.header.frame_id, message.child_frame_id) == ("map", "base_link")
-    np.testing.assert_allclose(messages.planar_pose(message), estimate.state.mean, atol=1e-12)
-    twist = message.twist.twist
-    assert (twist.linear.x, twist.angular.z) == tuple(estimate.twist)
-    zeros = (twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y)
-    assert zeros == (0.0, 0.0, 0.0, 0.0)
-
-    P = estimate.state.covariance
-    expected = np.zeros((6, 6))
-    for i, a in enumerate((0, 1, 5)):  # x, y, z, roll, pitch, yaw: row by row
-        for j, b in enumerate((0, 1, 5)):
-            expected[a, b] = P[i, j]
-    expected[2, 2] = expected[3, 3] = expected[4, 4] = 1e-9
-    assert np.shape(message.pose.covariance) == (36,)
-    np.testing.assert_array_equal(np.reshape(message.pose.covariance, (6, 6)), expected)
-    assert np.abs(P[0, 2]) > 1e-6  # or the test would not see a wrong layout
-    forward, turn = estimate.twist_variance
-    np.testing.assert_array_equal(
-        np.reshape(message.twist.covariance, (6, 6)),
-        np.diag([forward, 1e-9, 1e-9, 1e-9, 1e-9, turn]),
-    )
-
-
-def test_noise_numbers_are_as_many_as_their_names(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
-    assert len(set(NOISE_FIELDS)) == len(NOISE_FIELDS)
-    for estimate in (estimates[0], estimates[-1]):
-        made = messages.noise(estimate)
-        assert made.type_name == "std_msgs/msg/Float64MultiArray"
-        message = as_object(made)
-        (dimension,) = message.layout.dim
-        assert dimension.label.split(",") == list(NOISE_FIELDS)
-        assert len(message.data) == dimension.size == dimension.stride == len(NOISE_FIELDS)
-        assert message.layout.data_offset == 0
-        assert np.all(np.isfinite(message.data))
-
-
-def test_noise_numbers_are_what_their_names_say(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
-    estimate = estimates[-1]
-    assert estimate.result is not None
-    assert estimates[0].result is None
-    values = dict(zip(NOISE_FIELDS, as_object(messages.noise(estimate)).data, strict=True))
-    state, result = estimate.state, estimate.result
-    rows = ["x", "y", "compass_yaw", "lrf_yaw"]
-    for index, row in enumerate(rows):
-        assert values[f"measurement_noise_{row}"] == state.measurement_noise[index]
-        assert values[f"innovation_{row}"] == result.innovation[index]
-        assert values[f"innovation_variance_{row}"] == result.innovation_variance[index]
-        assert values[f"mismatch_{row}"] == result.mismatch[index]
-        for rule, name in enumerate(("increase", "maintain", "decrease")):
-            assert values[f"firing_{name}_{row}"] == result.firing_strength[index, rule]
-    assert values["process_noise_forward"] == state.process_noise[0]
-    assert values["process_noise_heading"] == state.process_noise[1]
-    assert values["nis"] == result.nis
-    assert values["degrees_of_freedom"] == 3.0
-    first = dict(zip(NOISE_FIELDS, as_object(messages.noise(estimates[0])).data, strict=True))
-    assert first["measurement_noise_x"] == pytest.approx(0.01)
-    assert first["nis"] == first["innovation_x"] == 0.0
-
-
-def test_diagnostics_names_levels_and_values(as_object: Callable[[Message], Any]) -> None:
-    statuses = (
-        Status("encoders", Level.ERROR, "no message yet", (("received", "0"),)),
-        Status("filter", Level.OK, "running", (("NIS", "3.1"), ("adaptation", "r"))),
-    )
-    made = messages.diagnostics(STAMP_NS, "robot1/localizer", statuses)
-    assert made.type_name == "diagnostic_msgs/msg/DiagnosticArray"
-    message = as_object(made)
-    assert messages.stamp_ns(message) == STAMP_NS
-    assert [s.name for s in message.status] == [
-        "robot1/localizer: encoders", "robot1/localizer: filter",
-    ]  # fmt: skip
-    assert [s.level for s in message.status] == [2, 0]
-    assert message.status[0].message == "no message yet"
-    assert [(v.key, v.value) for v in message.status[1].values] == [
-        ("NIS", "3.1"), ("adaptation", "r"),
-    ]  # fmt: skip
-
-
-def test_health_has_its_five_parts_about_once_a_second(
-    make_pipeline: Any, feed: Any, simulated: Any
-) -> None:
-    outputs = feed(make_pipeline(), simulated(11, 30.0).arrivals)
-    reports = [output for output in outputs if output.health is not None]
-    assert 28 <= len(reports) <= 34
-    for output in reports:
-        names = [status.name for status in output.health]
-        assert names == ["encoders", "compass", "lrf_pose", "filter", "time"]
-    assert {status.level for status in reports[-1].health} == {Level.OK}
-
-
-def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulated: Any) -> None:
-    arrivals = simulated(11, 30.0).arrivals
-    silent = [
-        a for a in arrivals
-        if not (isinstance(a.event, CompassYaw) and a.now_ns > arrivals[-1].now_ns - 10**10)
-    ]  # fmt: skip
-    last = [o for o in feed(make_pipeline(), silent) if o.health is not None][-1]
-    levels = {status.name: status.level for status in last.health}
-    assert levels == {
-        "encoders": Level.OK, "compass": Level.WARN, "lrf_pose": Level.OK, "filter": Level.OK,
-        "time": Level.OK,
-    }  # fmt: skip
-    assert "silent for" in next(s.message for s in last.health if s.name == "compass")
-
-
-def test_refused_messages_are_warned_about_once(make_pipeline: Any) -> None:
-    pipeline = make_pipeline()
-    pipeline.reject(Rejected(Sensor.LRF_POSE, "lrf_pose in frame 'odom', expected 'map'"))
-    first = next(s for s in pipeline.report() if s.name == "lrf_pose")
-    assert first.level is Level.WARN
-    assert "in frame 'odom'" in first.message
-    assert ("refused", "1") in first.values
-    second = next(s for s in pipeline.report() if s.name == "lrf_pose")
-    assert "refused:" not in second.message
-    assert ("refused", "1") in second.values
-
-
-@pytest.mark.parametrize("yaw", [0.0, 1.0, -3.1, math.pi])
-def test_yaw_there_and_back(as_object: Callable[[Message], Any], yaw: float) -> None:
-    found = messages.yaw_of(as_object(messages.quaternion(yaw)))
-    assert found == pytest.approx(yaw)
-
-
-def test_no_yaw_is_no_quaternion(as_object: Callable[[Message], Any]) -> None:
-    assert messages.yaw_of(as_object(messages.quaternion(math.nan))) is None
-
-
-@pytest.mark.parametrize("stamp", [0, 1, 999_999_999, 10**9, STAMP_NS])
-def test_stamps_there_and_back(as_object: Callable[[Message], Any], stamp: int) -> None:
-    message = SimpleNamespace(header=as_object(messages.header(stamp, "map")))
-    assert messages.stamp_ns(message) == stamp
-    assert 0 <= message.header.stamp.nanosec < 10**9
-
-
-def test_a_compass_message_can_be_read_again(
-    make_parameters: MakeParameters, as_object: Callable[[Message], Any]
-) -> None:
-    made = as_object(messages.compass_message(STAMP_NS, "base_link", 1.25, 0.1))
-    assert made.orientation_covariance[8] == pytest.approx(0.01)
-    (found,) = messages.read_input("compass", made, 1, make_parameters())
-    assert isinstance(found, CompassYaw)
-    assert found.yaw == pytest.approx(1.25)
-    unknown = as_object(messages.compass_message(STAMP_NS, "base_link", 1.25, 0.0))
-    np.testing.assert_array_equal(unknown.orientation_covariance, 0.0)
-    assert made.angular_velocity_covariance[0] == made.linear_acceleration_covariance[0] == -1.0

@@ -1,0 +1,146 @@
+"""What the localizer says about its own condition."""
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.core.joint import HYPOTHESES, JointReport
+from fnn_ekf_ros.pipeline.belief import belief_in_words
+from fnn_ekf_ros.pipeline.events import (
+    CompassYaw,
+    Level,
+    Output,
+    Rejected,
+    Sensor,
+)
+
+BELIEF = {"believes", "because", "weights"}
+
+
+def filter_values(outputs: list[Output]) -> list[dict[str, str]]:
+    """Return what the reports say about the filter once it runs."""
+    return [
+        dict(status.values)
+        for output in outputs
+        for status in output.health or ()
+        if status.name == "filter" and status.message == "running"
+    ]
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word) for word in re.findall(r"\d+(?:\.\d+)?(?:e[-+]\d+)?", text)]
+
+
+def test_health_has_its_five_parts_about_once_a_second(
+    make_pipeline: Any, feed: Any, simulated: Any
+) -> None:
+    outputs = feed(make_pipeline(), simulated(11, 30.0).arrivals)
+    reports = [output for output in outputs if output.health is not None]
+    assert 28 <= len(reports) <= 34
+    for output in reports:
+        names = [status.name for status in output.health]
+        assert names == ["encoders", "compass", "lrf_pose", "filter", "time"]
+    assert {status.level for status in reports[-1].health} == {Level.OK}
+
+
+def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulated: Any) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    silent = [
+        a for a in arrivals
+        if not (isinstance(a.event, CompassYaw) and a.now_ns > arrivals[-1].now_ns - 10**10)
+    ]  # fmt: skip
+    last = [o for o in feed(make_pipeline(), silent) if o.health is not None][-1]
+    levels = {status.name: status.level for status in last.health}
+    assert levels == {
+        "encoders": Level.OK, "compass": Level.WARN, "lrf_pose": Level.OK, "filter": Level.OK,
+        "time": Level.OK,
+    }  # fmt: skip
+    assert "silent for" in next(s.message for s in last.health if s.name == "compass")
+
+
+def test_refused_messages_are_warned_about_once(make_pipeline: Any) -> None:
+    pipeline = make_pipeline()
+    pipeline.reject(Rejected(Sensor.LRF_POSE, "lrf_pose in frame 'odom', expected 'map'"))
+    first = next(s for s in pipeline.report() if s.name == "lrf_pose")
+    assert first.level is Level.WARN
+    assert "in frame 'odom'" in first.message
+    assert ("refused", "1") in first.values
+    second = next(s for s in pipeline.report() if s.name == "lrf_pose")
+    assert "refused:" not in second.message
+    assert ("refused", "1") in second.values
+
+
+def report(factors: list[float], weights: list[float]) -> JointReport:
+    """Return a report that believes in factors of standard deviations."""
+    return JointReport(
+        2.0 * np.log(np.array(factors)), np.zeros(4), np.zeros((4, 3)), np.array(weights)
+    )
+
+
+def test_a_belief_is_put_into_words() -> None:
+    words = dict(belief_in_words(report([2.1, 1.0, 0.2, 0.333], [0.1, 0.87, 0.03])))
+    assert words == {
+        "believes": "wheels' way noise x 2.1, wheels' turn noise x 1, fixes' noise x 0.2, "
+        "yaw's noise x 0.33 (std against the start)",
+        "because": "settled: what was learned explains the measurements better",
+        "weights": "start 0.10, settled 0.87, fast 0.03",
+    }
+
+
+@pytest.mark.parametrize("leader", range(3))
+def test_the_hypothesis_that_weighs_most_is_the_reason(leader: int) -> None:
+    weights = [0.2, 0.2, 0.2]
+    weights[leader] = 0.6
+    words = dict(belief_in_words(report([1.0] * 4, weights)))
+    assert words["because"].split(":")[0] == HYPOTHESES[leader]
+
+
+def test_what_joint_adaptation_believes_is_reported(
+    make_pipeline: Any, feed: Any, simulated: Any
+) -> None:
+    """Fixes' and compass noise five times too large: it has to say so, and to run on it."""
+    start = [0.5, 0.5, 0.67]
+    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=start, lrf_yaw_std=0.67)
+    values = filter_values(feed(pipeline, simulated(11, 60.0, path="sim2").arrivals))
+    assert all(value["adaptation"] == "joint" for value in values)
+    last = values[-1]
+    assert last["because"].startswith("settled: ")
+    way, turn, fixes, yaw = numbers(last["believes"])
+    assert 0.13 < fixes < 0.3
+    assert 0.13 < yaw < 0.3
+    assert sum(numbers(last["weights"])) == pytest.approx(1.0, abs=0.02)
+    in_use = numbers(last["measurement noise std [m, m, rad, rad]"])
+    np.testing.assert_allclose(
+        in_use, [0.5 * fixes, 0.5 * fixes, 0.67 * yaw, 0.67 * yaw], rtol=0.05
+    )
+    in_use = numbers(last["process noise std [m, rad]"])
+    np.testing.assert_allclose(in_use, [0.05 * way, math.radians(3.0) * turn], rtol=0.05)
+
+
+@pytest.mark.parametrize("mode", ["none", "r", "q"])
+def test_other_modes_have_no_belief(
+    make_pipeline: Any, feed: Any, simulated: Any, mode: str
+) -> None:
+    values = filter_values(feed(make_pipeline(adaptation=mode), simulated(11, 30.0).arrivals))
+    assert values
+    for value in values:
+        assert value["adaptation"] == mode
+        assert not BELIEF & value.keys()
+
+
+def test_a_belief_is_kept_while_adaptation_is_disabled(
+    make_pipeline: Any, feed: Any, simulated: Any
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    middle = len(arrivals) // 2
+    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])
+    feed(pipeline, arrivals[:middle])
+    pipeline.enable_adaptation(False)
+    values = filter_values(feed(pipeline, arrivals[middle:]))
+    assert {value["adaptation"] for value in values} == {"joint, disabled"}
+    # Periods that were learned from are run again for late inputs, and learned from again.
+    assert len({value["believes"] for value in values[3:]}) == 1
+    assert numbers(values[-1]["believes"])[2] < 0.5
