@@ -73,10 +73,11 @@ def make_pipeline(
     make_parameters: Callable[..., LocalizerParameters],
 ) -> Callable[..., Pipeline]:
     """A pipeline for the paper's robot, with changed parameters."""
-    network = read_membership("published")
+    read = functools.cache(read_membership)
 
     def make(**changes: Any) -> Pipeline:
-        return Pipeline(make_parameters(**changes), network)
+        parameters = make_parameters(**changes)
+        return Pipeline(parameters, read(parameters.network_file()))
 
     return make
 

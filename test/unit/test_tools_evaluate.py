@@ -1,0 +1,146 @@
+"""The command evaluate, as from a shell, and the three commands in a row."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
+
+Refuse = Callable[..., str]
+Succeed = Callable[..., str]
+
+
+def records(path: Path, *topics: str) -> list[Record]:
+    with BagReader(path) as bag:
+        return list(bag.records(set(topics) or None))
+
+
+def table_rows(out: str) -> dict[str, list[str]]:
+    """Return the numbers of the table that evaluate prints, by label."""
+    return {line.split()[0]: line.split()[1:] for line in out.splitlines()[2:]}
+
+
+def parameters_of(bag: Path) -> Path:
+    return bag.with_name(f"{bag.name}.yaml")
+
+
+def test_simulate_replay_evaluate(tmp_path: Path, recorded: Path, succeed: Succeed) -> None:
+    words = ["--params", parameters_of(recorded)]
+    succeed("replay", recorded, tmp_path / "ekf", *words)
+    succeed("replay", recorded, tmp_path / "wheels", *words, "--dead-reckoning")
+    said = succeed(
+        "evaluate", tmp_path / "ekf", tmp_path / "wheels", "--labels", "EKF", "wheels",
+        "--json", tmp_path / "scores.json",
+    )  # fmt: skip
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert list(scores) == ["EKF", "wheels"]
+    rows = table_rows(said)
+    assert rows["EKF"][0] == str(scores["EKF"]["count"])
+    for column, key in enumerate(("rmse_x", "rmse_y", "rmse_theta", "rmse_position"), start=1):
+        assert float(rows["EKF"][column]) == pytest.approx(scores["EKF"][key], abs=6e-5)
+    ekf = scores["EKF"]
+    assert ekf["count"] > 35
+    assert 0.01 < ekf["rmse_position"] < 0.14
+    assert ekf["rmse_position"] == pytest.approx(math.hypot(ekf["rmse_x"], ekf["rmse_y"]))
+    assert 0.01 < ekf["rmse_theta"] < 0.12
+    assert 1.0 < ekf["mean_nees"] < 6.0
+    assert scores["wheels"]["rmse_position"] > 2.0 * ekf["rmse_position"]
+
+
+def test_evaluate_agrees_with_a_score_by_hand(
+    tmp_path: Path, recorded: Path, succeed: Succeed
+) -> None:
+    out = tmp_path / "out"
+    succeed("replay", recorded, out, "--params", parameters_of(recorded))
+    succeed("evaluate", out, "--json", tmp_path / "scores.json")
+    (found,) = json.loads((tmp_path / "scores.json").read_text()).values()
+    with BagReader(out) as bag:
+        truth = {messages.stamp_ns(m): messages.planar_pose(m)
+                 for m in map(bag.message, bag.records({"/ground_truth"}))}  # fmt: skip
+        odoms = [bag.message(record) for record in bag.records({"/odom"})]
+    errors, nees = [], []
+    for odom in odoms:  # truth is known at every boundary
+        error = messages.planar_pose(odom) - truth[messages.stamp_ns(odom)]
+        error[2] = math.remainder(error[2], 2.0 * math.pi)
+        errors.append(error)
+        P = messages.planar_block(odom.pose.covariance)
+        nees.append(error @ np.linalg.inv(P) @ error)
+    rmse = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert found["count"] == len(odoms)
+    for key, value in zip(("rmse_x", "rmse_y", "rmse_theta"), rmse, strict=True):
+        assert found[key] == pytest.approx(value, rel=1e-9)
+    assert found["mean_nees"] == pytest.approx(np.mean(nees), rel=1e-6)
+
+
+def test_evaluate_refuses(
+    tmp_path: Path, recorded: Path, refuse: Refuse, run: Callable[..., Any]
+) -> None:
+    line = refuse("evaluate", recorded)
+    assert "topic /odom is missing, expected nav_msgs/msg/Odometry; it has /compass, " in line
+    line = refuse("evaluate", recorded, "--odom-topic", "/compass")
+    assert "topic /compass is of type sensor_msgs/msg/Imu" in line
+    words = ["--truth-topic", "/nothing", "--odom-topic", "/ground_truth"]
+    line = refuse("evaluate", recorded, *words)
+    assert "topic /nothing is missing" in line
+    assert "--labels: 2 labels, expected 1" in refuse("evaluate", recorded, "--labels", "a", "b")
+    missing = tmp_path / "no" / "x.json"
+    # The table is out already, but nothing is left behind.
+    ran = run("evaluate", recorded, "--odom-topic", "/ground_truth", "--json", missing)
+    assert (ran.code, ran.err.count("\n")) == (1, 1)
+    assert "cannot be written" in ran.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_evaluate_truth_against_itself_is_without_error(recorded: Path, succeed: Succeed) -> None:
+    said = succeed("evaluate", recorded, "--odom-topic", "/ground_truth", "--labels", "truth")
+    assert table_rows(said)["truth"][1:] == ["0.0000", "0.0000", "0.0000", "0.0000", "n/a"]
+
+
+def test_evaluate_of_bags_without_common_time(tmp_path: Path, refuse: Refuse) -> None:
+    zeros = np.zeros((6, 6))
+    with BagWriter(tmp_path / "bag") as bag:
+        for topic, start in (("/odom", 0), ("/ground_truth", 10**12)):
+            for number in range(3):
+                stamp = start + number * 10**9
+                message = messages.odometry_message(
+                    stamp, "map", "base_link", np.zeros(3), np.zeros(2), zeros, zeros
+                )
+                bag.write(topic, message, stamp)
+    assert "have no time in common" in refuse("evaluate", tmp_path / "bag")
+
+
+def test_runs_of_the_same_name_are_all_shown(recorded: Path, run: Callable[..., Any]) -> None:
+    words = ["--odom-topic", "/ground_truth"]
+    ran = run("evaluate", recorded, recorded, *words)
+    assert ran.code == 1 or len(ran.out.splitlines()) == 4
+
+
+def test_an_odom_that_is_no_number_is_not_passed_over(
+    tmp_path: Path, run: Callable[..., Any]
+) -> None:
+    zeros = np.zeros((6, 6))
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(5):
+            for topic, x in (("/odom", math.nan), ("/ground_truth", 1.0)):
+                message = messages.odometry_message(
+                    number * 10**9, "map", "base_link", np.array([x, 0.0, 0.0]), np.zeros(2),
+                    zeros, zeros,
+                )  # fmt: skip
+                bag.write(topic, message, number * 10**9)
+    ran = run("evaluate", tmp_path / "bag")
+    assert ran.code == 1 or "nan" in ran.out
+
+
+def test_evaluate_draws(tmp_path: Path, recorded: Path, succeed: Succeed) -> None:
+    pytest.importorskip("matplotlib")
+    succeed("replay", recorded, tmp_path / "out", "--params", parameters_of(recorded))
+    for name in ("one.png", "two.png"):
+        succeed("evaluate", tmp_path / "out", "--plot", tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
