@@ -1,8 +1,9 @@
 """The demo: a recorded drive through the live localizer, next to what it would be without.
 
 Plays bags/round into live ROS topics at ten times real time, runs the localizer on them, records
-its odom, and compares: wheels alone, the plain EKF and the FNN-EKF, all started with measurement
-noise five times too large (a variance wrong by 25), and the EKF that was told the true noise.
+its odom, and compares: wheels alone, the plain EKF and the FNN-EKF (`adaptation: joint`, the
+default), all started with wheel noise five times too small and measurement noise five times too
+large (variances wrong by 25), and the EKF that was told the true noise.
 """
 
 import json
@@ -24,8 +25,8 @@ BAG, PARAMETERS = ROOT / "bags" / "round", ROOT / "bags" / "round.yaml"
 OUT = ROOT / "demo"
 RATE = 10
 PATIENCE_S = 60.0
-WRONG = ["measurement_noise_std:=[0.5, 0.5, 0.67]"]
-FNN = [*WRONG, "adaptation:=r"]
+WRONG = ["process_noise_std:=[0.01, 0.0105]", "measurement_noise_std:=[0.5, 0.5, 0.67]"]
+PLAIN = ["adaptation:=none"]
 PLAYED = ["left_ticks", "right_ticks", "compass", "lrf_pose"]
 
 
@@ -52,7 +53,7 @@ def running(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
 
 def live(out: Path) -> None:
     """Record what the live localizer makes of the played bag."""
-    ros = ["--ros-args", "--params-file", PARAMETERS, *assigned([*FNN, "use_sim_time:=true"])]
+    ros = ["--ros-args", "--params-file", PARAMETERS, *assigned([*WRONG, "use_sim_time:=true"])]
     with Recorder(out, {"/odom": ODOMETRY_TYPE}) as recorder, running(command("localizer", *ros)):
         deadline = time.monotonic() + PATIENCE_S
         while not recorder.connected():
@@ -92,10 +93,10 @@ def main() -> None:
     live(OUT / "live")
     print("Replaying it offline for comparison:", flush=True)
     for name, options in (
-        ("wheels_only", ["--dead-reckoning"]),
-        ("ekf", assigned(WRONG)),
-        ("fnn_ekf", assigned(FNN)),
-        ("ekf_true_noise", []),
+        ("wheels_only", ["--dead-reckoning", *assigned([*WRONG, *PLAIN])]),
+        ("ekf", assigned([*WRONG, *PLAIN])),
+        ("fnn_ekf", assigned(WRONG)),
+        ("ekf_true_noise", assigned(PLAIN)),
     ):
         subprocess.run(
             command("replay", BAG, OUT / name, "--params", PARAMETERS, *options), check=True
@@ -103,7 +104,10 @@ def main() -> None:
     bags = [OUT / name for name in ("wheels_only", "ekf", "live", "fnn_ekf", "ekf_true_noise")]
     labels = ["dead reckoning", "EKF", "FNN-EKF, live", "FNN-EKF, replay", "EKF, true noise"]
     picture = OUT / "tracks.png"
-    print("\nStarted with measurement noise five times too large (but for the last line):\n")
+    print(
+        "\nStarted with wheel noise five times too small and measurement noise five times too "
+        "large\n(but for the last line):\n"
+    )
     subprocess.run(
         command(
             "evaluate", *bags, "--truth-bag", BAG, "--labels", *labels,
