@@ -1,9 +1,10 @@
-"""`study paper|grid|dynamic`: Monte Carlo runs through every filter; tables, figures, JSON."""
+"""`study paper|grid|dynamic`: Monte Carlo runs through every filter; tables, figures, JSON.
+
+`study real` is another module's.
+"""
 
 import argparse
-import importlib.metadata
 import json
-import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,8 +22,9 @@ from fnn_ekf_ros.study import dynamic, grid, paper
 from fnn_ekf_ros.study.filters import BANK, DEAD_RECKONING, ORACLE, StudyFilter, study_filters
 from fnn_ekf_ros.study.trials import Outcome, Size, Trial, oracle_outcome, try_filter
 from fnn_ekf_ros.text_files import write_text
-from fnn_ekf_ros.tools import study_figures, study_paper_figures, study_tables
+from fnn_ekf_ros.tools import study_figures, study_paper_figures, study_real, study_tables
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
+from fnn_ekf_ros.tools.made_by import make_folder, version
 from fnn_ekf_ros.tools.progress import with_progress
 from fnn_ekf_ros.tools.simulate import matching_localizer
 
@@ -109,10 +111,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--json", metavar="FILE", type=Path, help="write the numbers here (DIR/results.json)"
         )
         add_parameter_arguments(own)
+    real = names.add_parser(
+        study_real.NAME, help=study_real.SUMMARY, description=study_real.SUMMARY
+    )
+    real.set_defaults(study=study_real.NAME)
+    study_real.add_arguments(real)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    if arguments.study == study_real.NAME:
+        return study_real.run(arguments)
     study = STUDIES[arguments.study]
     size = _size(arguments)
     given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}
@@ -123,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
     numbers = arguments.json or out / "results.json"
     if numbers.parent != out and not numbers.parent.is_dir():
         raise FnnEkfError(f"--json '{numbers}': there is no folder '{numbers.parent}'")
-    _make_folder(out)
+    make_folder(out)
     for path in study.paths:
         _write_settings(out, path, given)
 
@@ -134,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     labels = {name: each.label for name, each in filters.items()}
     made_by = {
-        "study": arguments.study, "version": _version(), **size._asdict(), "filters": names,
+        "study": arguments.study, "version": version(), **size._asdict(), "filters": names,
         "parameters": given,
     }  # fmt: skip
     content = {**made_by, "results": study_tables.rows(outcomes)}
@@ -183,13 +192,6 @@ def _localizer(path: str, given: dict[str, Any]) -> LocalizerParameters:
     return build(LocalizerParameters, asdict(matching) | given)
 
 
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FnnEkfError(f"--out '{path}': {error.strerror}") from None
-
-
 def _write_settings(out: Path, path: str, given: dict[str, Any]) -> None:
     """Write what a robot is and what a filter with the right start is told of it."""
     robot, localizer = FakeRobotParameters(path=path), _localizer(path, given)
@@ -201,20 +203,3 @@ def _write_settings(out: Path, path: str, given: dict[str, Any]) -> None:
         out / f"localizer_{path}.yaml",
         render_parameter_file(LocalizerParameters, asdict(localizer), LOCALIZER),
     )
-
-
-def _version() -> str:
-    """Return the version; in a clone the commit too."""
-    try:
-        version = importlib.metadata.version("fnn_ekf_ros")
-    except importlib.metadata.PackageNotFoundError:
-        version = "not installed"
-    clone = Path(__file__).resolve().parents[2]
-    if not (clone / ".git").exists():
-        return version
-    command = ["git", "-C", str(clone), "describe", "--always", "--dirty"]
-    try:
-        said = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
-    except (OSError, subprocess.CalledProcessError):
-        return version
-    return f"{version}, commit {said.stdout.strip()}"

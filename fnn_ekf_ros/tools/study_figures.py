@@ -1,7 +1,7 @@
 """Pictures of the studies; needs matplotlib. Colours are Okabe and Ito's, told apart by all."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -158,16 +158,7 @@ def _heat_maps(
     image = None
     for panel, outcome in zip(panels.flat, tried, strict=False):
         values = kind.values(outcome, name)
-        image = panel.imshow(values, origin="lower", cmap=kind.colors, norm=norm)
-        for (row, column), value in np.ndenumerate(values):
-            dark = np.dot(image.cmap(norm(value))[:3], _LUMINANCE) < 0.5
-            panel.text(
-                column, row, _short(value),
-                ha="center", va="center", fontsize=8, color="white" if dark else "black",
-            )  # fmt: skip
-        words = [factor_words(factor) for factor in FACTORS]
-        panel.set_xticks(range(len(FACTORS)), words)
-        panel.set_yticks(range(len(FACTORS)), words)
+        image = heat_map(panel, values, kind.colors, norm, _short)
         panel.set_title(labels[outcome.filter], fontsize=10)
     for panel in panels.flat[len(tried) :]:
         panel.set_visible(False)
@@ -178,6 +169,31 @@ def _heat_maps(
     bar.set_ticks(kind.ticks, labels=[f"{tick:g}" for tick in kind.ticks])
     bar.minorticks_off()
     return figure
+
+
+def heat_map(
+    panel: Any, values: FloatArray, colors: str, norm: Any, text: Callable[[float], str]
+) -> Any:
+    """Draw what the 25 starts come to; returns the image.
+
+    Args:
+        panel: to draw on.
+        values: `(5, 5)`, q by k.
+        colors: name of the colour map.
+        norm: from values to colours.
+        text: what to write for a value.
+    """
+    image = panel.imshow(values, origin="lower", cmap=colors, norm=norm)
+    for (row, column), value in np.ndenumerate(values):
+        dark = np.dot(image.cmap(norm(value))[:3], _LUMINANCE) < 0.5
+        panel.text(
+            column, row, text(value),
+            ha="center", va="center", fontsize=8, color="white" if dark else "black",
+        )  # fmt: skip
+    words = [factor_words(factor) for factor in FACTORS]
+    panel.set_xticks(range(len(FACTORS)), words)
+    panel.set_yticks(range(len(FACTORS)), words)
+    return image
 
 
 def _short(value: float) -> str:

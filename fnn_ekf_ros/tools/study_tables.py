@@ -55,11 +55,11 @@ def rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
                     row[f"rmse_{word}"] = _plain_interval(score.rmse, (index, axis))
                     row[f"ratio_{word}"] = _plain_interval(score.ratio, (index, axis))
                 row["nees"] = _plain_interval(score.nees, (index,))
-                row["nees_inside"] = _plain(score.nees_inside[index])
+                row["nees_inside"] = plain(score.nees_inside[index])
                 row["nees_band"] = list(score.nees_band)
-                row["nis_per_dof"] = _plain(score.nis[index])
-                row["nis_band"] = [_plain(end) for end in score.nis_band[index]]
-                row["diverged"] = _plain(score.diverged[index])
+                row["nis_per_dof"] = plain(score.nis[index])
+                row["nis_band"] = [plain(end) for end in score.nis_band[index]]
+                row["diverged"] = plain(score.diverged[index])
                 found.append(row)
     return found
 
@@ -74,7 +74,7 @@ def paper_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
                     f"## {title[0].upper()}{title[1:]}, {start_words(cell)}, {range_words(name)}\n"
                 )
                 parts.append(
-                    _table(
+                    table(
                         ["filter", "RMSE x [m]", "RMSE y [m]", "RMSE theta [rad]", "ratio",
                          "NEES", "inside", "NIS", "diverged"],
                         [
@@ -94,7 +94,7 @@ def grid_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
         for name in _ranges(outcomes):
             parts.append(f"## {title[0].upper()}{title[1:]}, {range_words(name)}: all starts\n")
             parts.append(
-                _table(
+                table(
                     ["filter", "right start", "worst start", "its worst axis", "its q, k",
                      "mean of the worst axis", "NEES", "diverged"],
                     [[labels[o.filter], *_grid_row(o, name)] for o in tried],
@@ -108,7 +108,7 @@ def grid_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
                     for q in FACTORS
                 ]
                 parts.append(
-                    _table(
+                    table(
                         ["", *(f"k = {factor_words(k)}" for k in FACTORS)],
                         [
                             [f"q = {factor_words(q)}", *texts]
@@ -140,7 +140,7 @@ def dynamic_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
                 start = start_words(outcome.cells[index])
                 texts = [t for name in ranges for t in _brief(outcome.scores[name], index)]
                 lines.append([labels[outcome.filter], start, *texts])
-        parts.append(_table(["filter", "start", *columns], lines))
+        parts.append(table(["filter", "start", *columns], lines))
     return "\n".join(["", *parts])
 
 
@@ -222,15 +222,17 @@ def _or_infinite(value: float) -> float:
     return value if math.isfinite(value) else math.inf
 
 
-def _plain(value: float | FloatArray) -> float | None:
+def plain(value: float | FloatArray) -> float | None:
+    """Return a number as JSON can hold it; None if it is not finite."""
     number = float(value)
     return number if math.isfinite(number) else None
 
 
 def _plain_interval(interval: Interval, index: tuple[int, ...]) -> list[float | None]:
-    return [_plain(end[index]) for end in interval]
+    return [plain(end[index]) for end in interval]
 
 
-def _table(names: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+def table(names: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
     texts = [names, ["---"] * len(names), *lines]
     return "\n".join(f"| {' | '.join(line)} |" for line in texts) + "\n"

@@ -1,0 +1,261 @@
+"""Every start on a real recording: the localizer's own periods, all 25 starts as one batch.
+
+The localizer's pipeline orders what was recorded into periods, once: they do not depend on the
+noise. Where late inputs had it run periods again, the last version counts; so the filters see
+all that came within `history` in its place, and what they say is what a localizer would say
+that had all of it in time. Each start then goes through the pipeline's own `run_period`, from
+the waiting for the first pose on: P at the start is R of that start.
+
+A factor k of R is one of what the filter takes for R at the start, whoever says so: where the
+fixes bring covariances of their own, they count k times, too.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.filter import FilterModel, FilterState, start_filter
+from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.configure import filter_model
+from fnn_ekf_ros.pipeline.inputs import PeriodInputs
+from fnn_ekf_ros.pipeline.period import Period, run_period
+from fnn_ekf_ros.pipeline.pipeline import Pipeline
+from fnn_ekf_ros.pipeline.start import Waiting
+from fnn_ekf_ros.study.filters import SMALLEST_WINDOW
+from fnn_ekf_ros.study.recording import Start
+from fnn_ekf_ros.study.scores import LOST_FACTOR
+from fnn_ekf_ros.study.starts import Cell
+
+
+class PeriodRecorder:
+    """Keeps the periods of a pipeline as they were run last; for its `on_period`.
+
+    Attributes:
+        periods: in the order of time.
+        broken_ns: end of the first period that does not continue the one before; None if all do.
+    """
+
+    def __init__(self) -> None:
+        self.periods: list[Period] = []
+        self.broken_ns: int | None = None
+        self._begin: FilterState | Waiting | None = None
+
+    def __call__(self, period: Period) -> None:
+        """Take a period in, in place of all that were run for this time or later before."""
+        while self.periods and self.periods[-1].end_ns >= period.end_ns:
+            self.periods.pop()
+        if self._begin is None:
+            self._begin = period.before
+        before = self.periods[-1].after if self.periods else self._begin
+        if period.before is not before and self.broken_ns is None:
+            self.broken_ns = period.end_ns
+        self.periods.append(period)
+
+
+class BatchStart(NamedTuple):
+    """All starts at the first pose.
+
+    Attributes:
+        stamp_ns: of the first pose, ROS time [ns].
+        start: `(n,)` starts, one for each cell.
+        inputs: of the periods that follow.
+        stamps_ns: their ends [ns].
+    """
+
+    stamp_ns: int
+    start: Start
+    inputs: tuple[PeriodInputs, ...]
+    stamps_ns: tuple[int, ...]
+
+
+class Run(NamedTuple):
+    """What a filter said from every start.
+
+    Attributes:
+        mean: `(T, n, 3)` poses, the first one included (m, m, rad; map frame).
+        covariance: `(T, n, 3, 3)` their covariances.
+        process_noise: `(n, 2)` diagonal of Q in use at the end (m^2, rad^2).
+        measurement_noise: `(n, 4)` diagonal of R in use at the end.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+
+
+class RealScore(NamedTuple):
+    """How far a filter was off from every start; infinite where it left the numbers.
+
+    Attributes:
+        rmse: `(n, 3)` root mean square error (m, m, rad); NaN yaw if truth has none.
+        position: `(n,)` of the distance [m].
+        furthest: `(n,)` largest distance [m].
+        median_nees: `(n,)` median of e' P^-1 e over time; NaN if truth has no yaw.
+    """
+
+    rmse: FloatArray
+    position: FloatArray
+    furthest: FloatArray
+    median_nees: FloatArray
+
+
+def recording_pipeline(parameters: LocalizerParameters) -> tuple[Pipeline, PeriodRecorder]:
+    """Return the localizer's pipeline, adapting nothing, and what keeps its periods."""
+    fixed = dataclasses.replace(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
+    recorder = PeriodRecorder()
+    return Pipeline(fixed, read_membership(fixed.network_file()), recorder), recorder
+
+
+def with_noise_of(parameters: LocalizerParameters, cell: Cell) -> LocalizerParameters:
+    """Return the parameters with Q and R as wrong as the cell says.
+
+    Raises:
+        ParameterError: the noise would leave its bounds.
+    """
+    q, k = math.sqrt(cell.q), math.sqrt(cell.k)
+    forward, turn = parameters.process_noise_std
+    x, y, yaw = parameters.measurement_noise_std
+    return dataclasses.replace(
+        parameters,
+        process_noise_std=(q * forward, q * turn),
+        measurement_noise_std=(k * x, k * y, k * yaw),
+        lrf_yaw_std=k * parameters.lrf_yaw_std,
+    )
+
+
+def batch_start(
+    parameters: LocalizerParameters, periods: Sequence[Period], cells: Sequence[Cell]
+) -> BatchStart:
+    """Return the starts of all cells, as the pipeline finds them.
+
+    Args:
+        parameters: with the noise that a factor of 1 stands for.
+        periods: in which a filter starts, or has started before.
+        cells: how wrong the starts are.
+
+    Raises:
+        ParameterError: the noise of a cell would leave its bounds.
+    """
+    network = read_membership(parameters.network_file())
+    taken, states, models = 0, [], []
+    for cell in cells:
+        model = filter_model(with_noise_of(parameters, cell), network)
+        taken, state = _first_state(model, cell, periods)
+        states.append(state)
+        models.append(model)
+    period_ns = round(parameters.period * 1e9)
+    following = periods[taken:]
+    return BatchStart(
+        stamp_ns=periods[taken - 1].end_ns if taken else periods[0].end_ns - period_ns,
+        start=Start(
+            mean=np.stack([state.mean for state in states]),
+            covariance=np.stack([state.covariance for state in states]),
+            process_noise=np.array([model.process_noise for model in models]),
+            measurement_noise=np.array([model.measurement_noise for model in models]),
+        ),
+        inputs=tuple(period.inputs for period in following),
+        stamps_ns=tuple(period.end_ns for period in following),
+    )
+
+
+def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
+    """Yield the state at the start and after each period, all starts as one batch.
+
+    Args:
+        model: the filter, with the noise that a factor of 1 stands for.
+        batch: starts and periods.
+    """
+    state: FilterState | Waiting = start_filter(model, *batch.start)
+    for inputs in (None, *batch.inputs):
+        if inputs is not None:
+            state, _ = run_period(model, state, inputs)
+        if isinstance(state, FilterState):  # a filter that runs never waits again
+            yield state
+
+
+def collect(states: Iterable[FilterState]) -> Run:
+    """Return what a filter said, of its states; there is at least one."""
+    means, covariances, last = [], [], None
+    for state in states:
+        means.append(state.mean)
+        covariances.append(state.covariance)
+        last = state
+    if last is None:
+        raise ValueError("no states: expected one at least")
+    return Run(np.stack(means), np.stack(covariances), last.process_noise, last.measurement_noise)
+
+
+def score_starts(run: Run, truth: FloatArray) -> RealScore:
+    """Return the errors wherever the truth is known.
+
+    Args:
+        run: `(T, n)`.
+        truth: `(T, 3)` true poses, NaN where they are not known; the position is somewhere.
+    """
+    known = np.isfinite(truth[:, 0])
+    error = run.mean[known] - truth[known, None]
+    error[..., 2] = wrap_angle(error[..., 2])
+    rmse = np.sqrt(np.mean(error[..., :2] ** 2, axis=0))
+    yaw = nees = np.full(error.shape[1], np.nan)
+    with_yaw = np.isfinite(truth[known, 2])
+    if np.any(with_yaw):
+        e, P = error[with_yaw], run.covariance[known][with_yaw]
+        yaw = np.sqrt(np.mean(e[..., 2] ** 2, axis=0))
+        nees = np.median(np.sum(e * np.linalg.solve(P, e[..., None])[..., 0], axis=-1), axis=0)
+        yaw, nees = _or_infinite(yaw), _or_infinite(nees)
+    return RealScore(
+        rmse=np.column_stack([_or_infinite(rmse), yaw]),
+        position=_or_infinite(np.hypot(rmse[:, 0], rmse[:, 1])),
+        furthest=_or_infinite(np.max(np.hypot(error[..., 0], error[..., 1]), axis=0)),
+        median_nees=nees,
+    )
+
+
+def diverged(score: RealScore, best_position: float) -> FloatArray:
+    """Return from which starts a filter was lost, `(n,)`, 1 or 0.
+
+    Args:
+        score: of the filter.
+        best_position: position RMSE of the best fixed EKF [m].
+    """
+    return np.asarray(score.furthest > LOST_FACTOR * best_position, dtype=np.float64)
+
+
+def rows_measured(batch: BatchStart) -> tuple[Row, ...]:
+    """Return the rows that were measured at least once after the start."""
+    seen = np.any([inputs.step.available for inputs in batch.inputs], axis=0)
+    return tuple(row for row in Row if seen[row])
+
+
+def _first_state(
+    model: FilterModel, cell: Cell, periods: Sequence[Period]
+) -> tuple[int, FilterState]:
+    """Return how many periods the filter of a cell needs to start, and its first state."""
+    before = periods[0].before
+    if isinstance(before, FilterState):  # from `initial_pose`
+        return 0, start_filter(model, before.mean, before.covariance)
+    state: FilterState | Waiting = Waiting(
+        np.asarray(model.process_noise), np.asarray(model.measurement_noise)
+    )
+    for taken, period in enumerate(periods, 1):
+        reported = period.inputs.step.measurement_covariance
+        if reported is not None:
+            reported = cell.k * reported
+        inputs = period.inputs._replace(
+            step=period.inputs.step._replace(measurement_covariance=reported)
+        )
+        state, _ = run_period(model, state, inputs)
+        if isinstance(state, FilterState):
+            return taken, state
+    raise ValueError("the filter never starts: expected periods in which it does")
+
+
+def _or_infinite(values: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(values), values, np.inf)
