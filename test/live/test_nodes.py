@@ -261,7 +261,7 @@ def test_hostile_messages_do_not_end_the_node(
         ([*GEOMETRY, "-p", "adaptation:=off"], "'adaptation' is False: expected one of none, r"),
         ([*GEOMETRY, "-p", "process_noise_std:=[0.02, 1]"], "expected a list of one type"),
         ([*GEOMETRY, "-p", "initial_pose:=[]"], "'initial_pose' has no value"),
-        ([*GEOMETRY, "-p", "membership_file:=/nowhere"], "membership_file '/nowhere'"),
+        ([*GEOMETRY, "-p", "joint_membership_file:=/nowhere"], "membership_file '/nowhere'"),
         (["--params-file", "/nowhere.yaml"], "parameter file '/nowhere.yaml'"),
     ],
 )
