@@ -3,20 +3,21 @@
 Two learners each move four log scales theta (forward, heading, position, yaw; 0 is the start):
 
     explained  u = I^-1 d                 what the last measurement asks for, in log variance
-    network    u is N -> theta I(ncrease),  u is Z -> M(aintain),  u is P -> D(ecrease)
-               theta <- theta + sum beta_k z_k(u)                               (20)-(22)
+    network    -u is N -> theta I(ncrease), Z -> M(aintain), P -> D(ecrease)
+               theta <- theta + sum beta_k z_k(-u)                              (20)-(22)
     memory     I <- (1 - 1/N) I + i + 1/N I_0,  N grows with the measurements up to the longest
 
 d and i are the score and information of `evidence`. The *settled* learner has a long memory and
 looks at forecasts of the measurement after next: noise that is coloured from one fix to the next
 cannot fool it. The *fast* one looks at the next measurement and forgets soon.
 
-Three hypotheses about the noise are weighed by what they predict, and the filter runs on the
+Four hypotheses about the noise are weighed by what they predict, and the filter runs on the
 log scales' weighted mean:
 
     the start's noise (theta = 0)   the guard: without evidence against it, it stays
     the settled learner's           takes over from the start by their odds
     the fast learner's              where it explains the last measurements better by far
+    the settled one's, wheels x 50  slip; likewise: it is there before any learner could be
 
 Every hypothesis and every neighbour is a filter of its own beside the one that is published.
 """
@@ -46,7 +47,7 @@ from fnn_ekf_ros.core.plant import (
     predict,
 )
 
-HYPOTHESES = ("start", "settled", "fast")
+HYPOTHESES = ("start", "settled", "fast", "slip")
 SHORTEST_MEMORY = 15.0
 """N of a learner that has seen nothing yet [measurements]."""
 LONGEST_MEMORY = (200.0, 20.0)
@@ -62,16 +63,19 @@ START_WEIGHT = 0.5
 SWITCHING_RATE = 1e-4
 """Part of the odds that is drawn anew with each measurement, so that they can turn again
 (Herbster and Warmuth 1998, fixed share)."""
+SLIP: FloatArray = np.array([1.0, 1.0, 0.0, 0.0]) * np.log(50.0)
+"""Log scales of wheels that slip, against the settled ones."""
 ALARM_MEMORY = 0.9
-"""Part of the fast learner's lead that is remembered from one period to the next."""
+"""Part of a sudden hypothesis' lead that is remembered from one period to the next."""
 ALARM_LEAD = 6.0
-"""Lead [nats] at which the fast learner has half of the say."""
+"""Lead [nats] at which a sudden hypothesis (fast, slip) has half of the say."""
 LARGEST_LEAD = 50.0
 STANDSTILL = (1e-3, 1e-3)
 """A nominal period with less way and turn teaches nothing: fixes are too quiet then (m, rad)."""
 
 _SETTLED, _FAST = 0, 1
 _FORECAST_FILTERS = 1 + STAR_SIZE
+_FILTERS = 1 + len(LONGEST_MEMORY) * STAR_SIZE + 1
 _ROW_SCALE = [2, 2, 3, 3]
 """Which scale each row's R follows."""
 
@@ -86,9 +90,10 @@ class JointState(NamedTuple):
         information: `(..., 2, 4, 4)` I.
         memory: `(..., 2)` N [measurements].
         start_weight: `(...)` weight of the start's noise against the settled learner's.
-        lead: `(...)` by how much the fast learner has predicted better of late [nats].
-        mean: `(..., 19, 3)` filters at the start's noise, then of the two learners' stars.
-        covariance: `(..., 19, 3, 3)` their covariances.
+        lead: `(..., 2)` by how much the fast learner and slip have predicted better of late
+            than the calm hypotheses [nats].
+        mean: `(..., 20, 3)` filters: the start's noise, the two learners' stars, slip.
+        covariance: `(..., 20, 3, 3)` their covariances.
         forecast_mean: `(..., 2, 10, 3)` the first ten filters without the last two and the last
             measurement.
         forecast_covariance: `(..., 2, 10, 3, 3)` their covariances.
@@ -116,7 +121,7 @@ class JointReport(NamedTuple):
         log_scale: `(..., 4)` theta in use, in log variance; 0 is the start's noise.
         explained: `(..., 4)` u of the settled learner; 0 where nothing was learned.
         firing_strength: `(..., 4, 3)` alpha of its rules I, M, D; 0 where nothing was learned.
-        weights: `(..., 3)` of the hypotheses, in the order of `HYPOTHESES`; they sum to 1.
+        weights: `(..., 4)` of the hypotheses, in the order of `HYPOTHESES`; they sum to 1.
     """
 
     log_scale: FloatArray
@@ -150,7 +155,7 @@ def start_joint(
         ),
         memory=np.full((*batch, learners), SHORTEST_MEMORY),
         start_weight=np.full(batch, START_WEIGHT),
-        lead=np.zeros(batch),
+        lead=np.zeros((*batch, 2)),
         mean=mean,
         covariance=covariance,
         forecast_mean=mean,
@@ -163,10 +168,9 @@ def start_joint(
 def at_pose(state: JointState, mean: FloatArray, covariance: FloatArray) -> JointState:
     """Return the state with all filters at another pose; what was learned is kept."""
     batch = mean.shape[:-1]
-    filters = 1 + len(LONGEST_MEMORY) * STAR_SIZE
     return state._replace(
-        mean=np.broadcast_to(mean[..., None, :], (*batch, filters, 3)),
-        covariance=np.broadcast_to(covariance[..., None, :, :], (*batch, filters, 3, 3)),
+        mean=np.broadcast_to(mean[..., None, :], (*batch, _FILTERS, 3)),
+        covariance=np.broadcast_to(covariance[..., None, :, :], (*batch, _FILTERS, 3, 3)),
         forecast_mean=np.broadcast_to(mean[..., None, None, :], (*batch, 2, _FORECAST_FILTERS, 3)),
         forecast_covariance=np.broadcast_to(
             covariance[..., None, None, :, :], (*batch, 2, _FORECAST_FILTERS, 3, 3)
@@ -238,7 +242,8 @@ def adapt_jointly(
     moved = state._replace(mean=mean, covariance=covariance)
     after, explained, alpha = _learn_all(moved, sets, bounds, seen, forecast, teaches)
     if learning:
-        after = after._replace(lead=np.where(teaches, after.lead, ALARM_MEMORY * after.lead))
+        faded = np.where(teaches[..., None], after.lead, ALARM_MEMORY * after.lead)
+        after = after._replace(lead=faded)
     after = _shift_forecasts(after, ahead, spread, measured)
     return after, JointReport(_log_scale_in_use(after), explained, alpha, _weights(after))
 
@@ -254,7 +259,7 @@ def _learn_all(
     """Return the state with learners and weights moved, and the settled learner's u and alpha."""
     foreseen = teaches & (state.forecast_count >= 2.0)
     of_forecast = star_evidence(_pick(forecast, slice(1, None)))
-    of_fast = star_evidence(_pick(seen, slice(1 + STAR_SIZE, None)))
+    of_fast = star_evidence(_pick(seen, slice(1 + STAR_SIZE, 1 + 2 * STAR_SIZE)))
     settled, explained, alpha = _learn(state, _SETTLED, sets, bounds, of_forecast, foreseen)
     both, _, _ = _learn(settled, _FAST, sets, bounds, of_fast, teaches)
 
@@ -268,9 +273,10 @@ def _learn_all(
     best = np.max(likelihood, axis=-1)
     relative = np.exp(likelihood - best[..., None])
     calm = best + np.log(w * relative[..., 0] + (1.0 - w) * relative[..., 1])
-    gained = np.where(teaches, of_fast.log_likelihood - calm, 0.0)
+    of_slip = log_likelihood(_pick(seen, slice(_FILTERS - 1, None)))[..., 0]
+    gained = np.stack([of_fast.log_likelihood, of_slip], axis=-1) - calm[..., None]
     gained = np.clip(gained, -LARGEST_LEAD, LARGEST_LEAD)
-    lead_now = np.where(teaches, ALARM_MEMORY * state.lead + gained, state.lead)
+    lead_now = np.where(teaches[..., None], ALARM_MEMORY * state.lead + gained, state.lead)
     return both._replace(start_weight=w, lead=lead_now), explained, alpha
 
 
@@ -338,11 +344,16 @@ def _shift_forecasts(
 
 
 def _noise_of_filters(state: JointState) -> tuple[FloatArray, FloatArray]:
-    """Return Q `(..., 19, 2)` and R `(..., 19, 4)` of all filters."""
+    """Return Q `(..., 20, 2)` and R `(..., 20, 4)` of all filters."""
     stars = state.log_scale[..., None, :] + STAR
     batch = stars.shape[:-3]
     theta = np.concatenate(
-        [np.zeros((*batch, 1, SCALE_COUNT)), stars.reshape(*batch, -1, SCALE_COUNT)], axis=-2
+        [
+            np.zeros((*batch, 1, SCALE_COUNT)),
+            stars.reshape(*batch, -1, SCALE_COUNT),
+            state.log_scale[..., [_SETTLED], :] + SLIP,
+        ],
+        axis=-2,
     )
     return (
         state.process_noise[..., None, :] * np.exp(theta[..., :2]),
@@ -351,16 +362,20 @@ def _noise_of_filters(state: JointState) -> tuple[FloatArray, FloatArray]:
 
 
 def _log_scale_in_use(state: JointState) -> FloatArray:
-    weights = _weights(state)
-    return np.asarray(
-        np.sum(weights[..., 1:, None] * state.log_scale, axis=-2)  # the start's is 0
-    )
+    settled, fast = state.log_scale[..., _SETTLED, :], state.log_scale[..., _FAST, :]
+    theta = np.stack([np.zeros_like(settled), settled, fast, settled + SLIP], axis=-2)
+    return np.asarray(np.sum(_weights(state)[..., None] * theta, axis=-2))
 
 
 def _weights(state: JointState) -> FloatArray:
-    fast = 1.0 / (1.0 + np.exp(ALARM_LEAD - np.clip(state.lead, -LARGEST_LEAD, LARGEST_LEAD)))
+    """Return the weights `(..., 4)`: the two calm hypotheses by their odds, the sudden by lead."""
+    calm = np.full_like(state.lead[..., :1], ALARM_LEAD)
+    lead = np.concatenate([calm, state.lead], axis=-1)
+    share = np.exp(lead - np.max(lead, axis=-1, keepdims=True))
+    share = share / np.sum(share, axis=-1, keepdims=True)
     w = state.start_weight
-    return np.stack([(1.0 - fast) * w, (1.0 - fast) * (1.0 - w), fast], axis=-1)
+    calm_share = share[..., :1] * np.stack([w, 1.0 - w], axis=-1)
+    return np.concatenate([calm_share, share[..., 1:]], axis=-1)
 
 
 def _log_limits(state: JointState, bounds: NoiseBounds) -> tuple[FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ LEAD_WORDS = {
     "start": "start: its noise explains the measurements as well",
     "settled": "settled: what was learned explains the measurements better",
     "fast": "fast: the noise seems to have just changed",
+    "slip": "slip: the wheels seem to slide",
 }
 """Why a hypothesis about the noise leads."""
 

@@ -107,10 +107,10 @@ def test_noise_numbers_keep_their_places() -> None:
         8: "innovation_x", 12: "innovation_variance_x", 16: "mismatch_x", 20: "firing_increase_x",
         31: "firing_decrease_lrf_yaw", 32: "log_scale_forward", 33: "log_scale_heading",
         34: "log_scale_position", 35: "log_scale_yaw", 36: "weight_start", 37: "weight_settled",
-        38: "weight_fast",
+        38: "weight_fast", 39: "weight_slip",
     }  # fmt: skip
     assert {index: NOISE_FIELDS[index] for index in places} == places
-    assert len(NOISE_FIELDS) == 39
+    assert len(NOISE_FIELDS) == 40
 
 
 def test_noise_numbers_tell_what_joint_adaptation_believes(
@@ -122,8 +122,8 @@ def test_noise_numbers_tell_what_joint_adaptation_believes(
     data = as_object(messages.noise(last)).data
     np.testing.assert_array_equal(data[20:32], np.ravel(last.result.joint.firing_strength))
     np.testing.assert_array_equal(data[32:36], last.result.joint.log_scale)
-    np.testing.assert_array_equal(data[36:39], last.result.joint.weights)
-    assert sum(data[36:39]) == pytest.approx(1.0)
+    np.testing.assert_array_equal(data[36:40], last.result.joint.weights)
+    assert sum(data[36:40]) == pytest.approx(1.0)
     np.testing.assert_allclose(
         data[0:4], np.exp(data[[34, 34, 35, 35]]) * [0.25, 0.25, 0.67**2, 0.134**2]
     )
