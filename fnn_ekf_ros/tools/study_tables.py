@@ -141,7 +141,39 @@ def dynamic_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
                 texts = [t for name in ranges for t in _brief(outcome.scores[name], index)]
                 lines.append([labels[outcome.filter], start, *texts])
         parts.append(table(["filter", "start", *columns], lines))
+        parts.append(_against_fixed([o for o in outcomes if o.trial == trial], labels))
     return "\n".join(["", *parts])
+
+
+def _against_fixed(outcomes: Sequence[Outcome], labels: Labels) -> str:
+    """Return how the filters compare, over the whole run, with EKFs whose noise stays."""
+    fixed = next((o for o in outcomes if o.filter == "ekf"), None)
+    others = [o for o in outcomes if fixed is not None and o.cells == fixed.cells and o != fixed]
+    if fixed is None or not others:
+        return ""
+    ekf = fixed.scores["whole"].ratio.value
+    best = int(np.argmin(np.max(ekf, axis=-1)))
+    lines = []
+    for outcome in others:
+        ratio = outcome.scores["whole"].ratio.value
+        same, hindsight = ratio / ekf, ratio / ekf[best]
+        right = outcome.cells.index(RIGHT)
+        lines.append(
+            [
+                labels[outcome.filter],
+                *(" / ".join(map(_number, value)) for value in (same[right], np.max(same, axis=0))),
+                *(
+                    " / ".join(map(_number, value))
+                    for value in (hindsight[right], np.max(hindsight, axis=0))
+                ),
+            ]
+        )
+    against = f"best EKF ({start_words(fixed.cells[best])})"
+    return table(
+        ["over the EKF, whole run", "same start, right", "same start, worst",
+         f"right start over {against}", f"worst start over {against}"],
+        lines,
+    )  # fmt: skip
 
 
 def factor_words(factor: float) -> str:
