@@ -22,9 +22,13 @@ _POSITIVE = ("position_unit", "yaw_unit", "change_limit")
 _LETTERS = ("a1", "b1", "a2", "b2", "a3", "b3", "a4", "b4", "c1", "sigma1", "c2", "sigma2")
 """The paper's names of the parameters, in the order of `FuzzySets`."""
 _HEAD = """\
-# Membership functions of fnn_ekf_ros; x = C_hat - S in the units below. P, N, I, D: sigmoids
+# Membership functions of fnn_ekf_ros; x = {argument}. P, N, I, D: sigmoids
 # 1/(1+exp(-slope*(x-center))); Z, M: Gaussians exp(-(x-center)^2/(2*width^2)).
 """
+MISMATCH = "C_hat - S in the units below"
+"""Argument of the paper's sets."""
+EXPLAINED = "u in log variance"
+"""Argument of mode joint's sets: what the evidence asks for. They have no unit."""
 
 
 class MembershipError(FnnEkfError):
@@ -56,21 +60,24 @@ def read_membership(name: str) -> FuzzyNetwork:
     return _network(name, content)
 
 
-def write_membership(path: Path, network: FuzzyNetwork, notes: Sequence[str]) -> None:
+def write_membership(
+    path: Path, network: FuzzyNetwork, notes: Sequence[str], argument: str = MISMATCH
+) -> None:
     """Write a membership file, completely or not at all.
 
     Args:
         path: the file.
         network: membership functions with their units.
         notes: lines on where they come from.
+        argument: what the functions are functions of, `MISMATCH` or `EXPLAINED`.
 
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    write_text(path, render_membership(network, notes))
+    write_text(path, render_membership(network, notes, argument))
 
 
-def render_membership(network: FuzzyNetwork, notes: Sequence[str]) -> str:
+def render_membership(network: FuzzyNetwork, notes: Sequence[str], argument: str = MISMATCH) -> str:
     """Return the text of a membership file; what is read from it is equal bit for bit.
 
     The version comes last: a file that was cut short has none and is refused.
@@ -78,10 +85,12 @@ def render_membership(network: FuzzyNetwork, notes: Sequence[str]) -> str:
     Args:
         network: membership functions with their units.
         notes: lines on where they come from.
+        argument: what the functions are functions of, `MISMATCH` or `EXPLAINED`.
     """
+    without_unit = argument == EXPLAINED
     meanings = (
-        "m^2, of position variances",
-        "rad^2, of yaw variances",
+        "" if without_unit else "m^2, of position variances",
+        "" if without_unit else "rad^2, of yaw variances",
         "half width of the universe of the change, for centroid only",
     )
     entries = [
@@ -97,7 +106,7 @@ def render_membership(network: FuzzyNetwork, notes: Sequence[str]) -> str:
     lines = [f"# {note}" for note in notes]
     lines += [f"{entry:<{width}} # {said}" if said else entry for entry, said in entries]
     lines.append(f"version: {FORMAT_VERSION}")
-    return _HEAD + "\n".join(lines) + "\n"
+    return _HEAD.format(argument=argument) + "\n".join(lines) + "\n"
 
 
 def _network(name: str, content: Any) -> FuzzyNetwork:

@@ -2,21 +2,58 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.fuzzy import FuzzySets, gaussian, infer, sigmoid
+from fnn_ekf_ros.membership.files import EXPLAINED, MISMATCH
 from fnn_ekf_ros.tools.study_figures import new_figure, require_matplotlib, save
 from fnn_ekf_ros.training.five_layers import UNITS_PER_SCALE
+from fnn_ekf_ros.training.joint_set import JointTrainingSet
 from fnn_ekf_ros.training.training_set import FARTHEST, STEP_SHARE, TrainingSet
 
-__all__ = ["draw_change", "draw_loss", "draw_membership", "require_matplotlib"]
+__all__ = [
+    "draw_change",
+    "draw_joint_change",
+    "draw_loss",
+    "draw_membership",
+    "require_matplotlib",
+]
+
 
 MEMBERSHIP_SPAN = 120.0
-"""Membership functions are drawn from minus to plus this [their unit]."""
+"""The paper's membership functions are drawn from minus to plus this [their unit]."""
+MEMBERSHIP_SPANS = {MISMATCH: MEMBERSHIP_SPAN, EXPLAINED: 1.5}
+"""The same by what they are functions of; mode joint's in log variance."""
+
+
+class Axes(NamedTuple):
+    """How membership functions are drawn.
+
+    Attributes:
+        argument: label of the antecedents.
+        change: label of the consequents.
+        unit: label of the unit, a format that is given the `network`.
+    """
+
+    argument: str
+    change: str
+    unit: str
+
+
+AXES = {
+    MISMATCH: Axes(
+        r"$-D = \hat{C} - S$", r"$\Delta R$",
+        "{network.position_unit:.3g} m² or {network.yaw_unit:.3g} rad²",
+    ),
+    EXPLAINED: Axes("u, what the evidence asks for", r"$\Delta\theta$", "log variance"),
+}  # fmt: skip
+"""By what the membership functions are functions of."""
+JOINT_SPAN = 3.0
+"""The change of mode joint's network is drawn up to this u [log variance]."""
 # Increase, maintain, decrease, and the sets that lead there.
 BLUE, GREEN, RED, GREY = "#0072B2", "#009E73", "#D55E00", "#777777"
 _RULES = ("increase", "maintain", "decrease")
@@ -24,7 +61,10 @@ _COLOURS = (BLUE, GREEN, RED)
 
 
 def draw_membership(
-    path: Path, networks: Mapping[str, FuzzyNetwork], span: float = MEMBERSHIP_SPAN
+    path: Path,
+    networks: Mapping[str, FuzzyNetwork],
+    span: float = MEMBERSHIP_SPAN,
+    labels: Axes = AXES[MISMATCH],
 ) -> None:
     """Draw membership functions, a row for each network: antecedents left, consequents right.
 
@@ -32,6 +72,7 @@ def draw_membership(
         path: the PNG to write.
         networks: by their titles.
         span: half width of the pictures [the sets' unit].
+        labels: what the axes say.
 
     Raises:
         FnnEkfError: the file cannot be written.
@@ -39,18 +80,19 @@ def draw_membership(
     figure = new_figure(11.0, 0.6 + 2.9 * len(networks))
     rows = figure.subplots(len(networks), 2, sharex=True, sharey=True, squeeze=False)
     # A crisp set or a very narrow one must not fall between two points.
-    x = np.unique(np.concatenate([np.linspace(-span, span, 1201), np.linspace(-1.0, 1.0, 401)]))
+    near = span / 120.0
+    x = np.unique(np.concatenate([np.linspace(-span, span, 1201), np.linspace(-near, near, 401)]))
     for axes, (title, network) in zip(rows, networks.items(), strict=True):
         for ax, functions, argument in (
-            (axes[0], antecedents(network.sets, x), r"$-D = \hat{C} - S$"),
-            (axes[1], consequents(network.sets, x), r"$\Delta R$"),
+            (axes[0], antecedents(network.sets, x), labels.argument),
+            (axes[1], consequents(network.sets, x), labels.change),
         ):
             for (label, value), colour in zip(functions.items(), _COLOURS, strict=True):
                 if value is None:
                     ax.plot([], [], color=colour, label=label)
                 else:
                     ax.plot(x, value, color=colour, lw=1.8, label=label)
-            unit = f"{network.position_unit:.3g} m² or {network.yaw_unit:.3g} rad²"
+            unit = labels.unit.format(network=network)
             ax.set(xlabel=f"{argument}   [{unit}]", xlim=(-span, span), ylim=(-0.03, 1.05))
             ax.grid(visible=True, alpha=0.25)
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), fontsize="small")
@@ -128,6 +170,52 @@ def draw_change(path: Path, pairs: TrainingSet, start: FuzzyNetwork, after: Fuzz
     bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")
     bottom.legend(loc="center left", fontsize="small")
     ticks: Any = [-300, -100, -30, -10, 0, 10, 30, 100, 300]
+    bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    top.set_yticks(ticks[1:-1], [f"{tick:g}" for tick in ticks[1:-1]])
+    for ax in (top, bottom):
+        ax.grid(visible=True, alpha=0.25)
+        ax.minorticks_off()
+    save(figure, path)
+
+
+def draw_joint_change(
+    path: Path, pairs: JointTrainingSet, start: FuzzyNetwork, after: FuzzyNetwork
+) -> None:
+    """Draw what mode joint's network answers before and after learning, over the training set.
+
+    Args:
+        path: the PNG to write.
+        pairs: the training set.
+        start: what descent started from.
+        after: the learned network.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    figure = new_figure(9.0, 7.5)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    fine = 0.05
+    u = fine * np.sinh(np.linspace(-1.0, 1.0, 801) * np.arcsinh(JOINT_SPAN / fine))
+    top.plot(u, u, color=GREY, lw=0.8, label="slope 1")
+    top.plot(u, infer(start.sets, -u).change, color="black", ls="--", lw=1.4, label="before")
+    learned = infer(after.sets, -u)
+    top.plot(u, learned.change, color=BLUE, lw=2.0, label="after learning")
+    top.scatter(pairs.asked, pairs.wanted_change, s=22, color=RED, zorder=3, label="training set")
+    top.set_yscale("asinh", linear_width=fine)
+    top.set(ylim=(-1.2, 1.2), ylabel=r"$\Delta\theta$   [log variance]")
+    top.set_title("What the network answers", fontsize="medium", loc="left")
+    top.legend(loc="upper left", fontsize="small")
+    for k, (rule, colour) in enumerate(zip(_RULES, _COLOURS, strict=True)):
+        bottom.plot(u, learned.normalized_firing[:, k], color=colour, lw=1.8, label=rule)
+    bottom.set_xscale("asinh", linear_width=fine)
+    bottom.set(
+        ylabel=r"weight $\beta$ of the rule",
+        xlabel="u, what the evidence asks for   [log variance]",
+        ylim=(-0.03, 1.03),
+    )
+    bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")
+    bottom.legend(loc="center left", fontsize="small")
+    ticks: Any = [-3, -1, -0.3, -0.1, 0, 0.1, 0.3, 1, 3]
     bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     top.set_yticks(ticks[1:-1], [f"{tick:g}" for tick in ticks[1:-1]])
     for ax in (top, bottom):

@@ -5,7 +5,8 @@
 
 with the network's output z_k on input k, the wanted output t_k and every parameter p. The paper
 does not say whether p moves after each pair or after all of them. Here it moves after all: the
-result does not depend on the pairs' order, and with a small rate the loss can only fall.
+result does not depend on the pairs' order, and with a small rate the loss can only fall. The
+means may be weighted.
 
 One rate serves all parameters, so inputs and outputs should be of order 1; whoever calls scales.
 Nothing here knows what the network is: a vector of parameters, its output and its gradient.
@@ -53,6 +54,7 @@ def descend(
     inputs: FloatArray,
     targets: FloatArray,
     rate: float,
+    weight: FloatArray | None = None,
 ) -> Iterator[Epoch]:
     """Yield the start, then the parameters after each step; never ends.
 
@@ -62,12 +64,19 @@ def descend(
         inputs: `(n, ...)` of the training set.
         targets: `(n,)` wanted outputs.
         rate: eta.
+        weight: `(n,)` of the pairs, with the sum 1; None for equal ones.
     """
+
+    def mean(of_pairs: FloatArray) -> FloatArray:
+        if weight is None:
+            return np.asarray(np.mean(of_pairs, axis=0))
+        return np.asarray(weight @ of_pairs)
+
     p = np.asarray(start, dtype=np.float64)
     while True:
         with np.errstate(all="ignore"):  # a rate far too large overflows: the loss tells
             excess = network.output(p, inputs) - targets
-            loss = float(0.5 * np.mean(excess**2))
+            loss = 0.5 * float(mean(excess**2))
         yield Epoch(p, loss)
-        slope = np.mean(excess[:, None] * network.gradient(p, inputs), axis=0)
+        slope = mean(excess[:, None] * network.gradient(p, inputs))
         p = network.feasible(p - rate * slope)

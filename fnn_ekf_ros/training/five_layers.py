@@ -15,6 +15,8 @@ SMALLEST_SLOPE = 0.01
 keep falling, N and I rising, and the inverses of D and I exist."""
 SMALLEST_ZERO_WIDTH = 0.01
 """Z stays at least so wide, where inputs are of order 1."""
+JOINT_SCALE = 0.5
+"""u and change that count as one while mode joint's network learns [log variance]."""
 
 _SLOPES = [index for index, name in enumerate(FuzzySets._fields) if name.endswith("_slope")]
 _MAINTAIN_WIDTH = FuzzySets._fields.index("maintain_width")
@@ -46,6 +48,55 @@ def five_layers(start: FuzzySets) -> LearningNetwork:
         gradient=lambda p, mismatch: infer_gradient(as_sets(p), mismatch),
         feasible=feasible,
     )
+
+
+def odd_layers(start: FuzzySets) -> LearningNetwork:
+    """Return the network of mode joint, with inputs -u and outputs in `JOINT_SCALE`.
+
+    P is kept the mirror image of N, D that of I, and Z and M in the middle, by which the network
+    is odd. Pairs that are odd would keep it so by themselves, but for rounding.
+
+    Args:
+        start: the sets that learn first.
+    """
+    layers = five_layers(start)
+
+    def feasible(p: FloatArray) -> FloatArray:
+        return np.array(mirrored(as_sets(layers.feasible(p))))
+
+    return LearningNetwork(layers.output, layers.gradient, feasible)
+
+
+def mirrored(sets: FuzzySets) -> FuzzySets:
+    """Return the nearest sets whose network is odd."""
+    s = sets
+    antecedent_slope = 0.5 * (s.negative_slope - s.positive_slope)
+    antecedent_center = 0.5 * (s.negative_center - s.positive_center)
+    consequent_slope = 0.5 * (s.increase_slope - s.decrease_slope)
+    consequent_center = 0.5 * (s.increase_center - s.decrease_center)
+    return sets._replace(
+        positive_slope=-antecedent_slope,
+        positive_center=-antecedent_center,
+        negative_slope=antecedent_slope,
+        negative_center=antecedent_center,
+        decrease_slope=-consequent_slope,
+        decrease_center=-consequent_center,
+        increase_slope=consequent_slope,
+        increase_center=consequent_center,
+        maintain_center=0.0,
+        zero_center=0.0,
+    )
+
+
+def joint_network(sets: FuzzySets, change_limit: float) -> FuzzyNetwork:
+    """Return what a membership file holds of mode joint's sets, in numbers of six digits.
+
+    Args:
+        sets: the sets in `JOINT_SCALE`.
+        change_limit: universe of the consequents [log variance].
+    """
+    ours = in_unit(sets, 1.0 / JOINT_SCALE)
+    return FuzzyNetwork(FuzzySets(*map(_six_digits, ours)), 1.0, 1.0, change_limit)
 
 
 def first_sets(network: FuzzyNetwork) -> FuzzySets:

@@ -1,8 +1,10 @@
 """The command train, and the packaged set that it made."""
 
 import dataclasses
+import itertools
 import json
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import diagonal_matrix
+from fnn_ekf_ros.core.fuzzy import infer
 from fnn_ekf_ros.membership.files import read_membership, write_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -17,7 +20,10 @@ from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.study.filters import run as run_filter
 from fnn_ekf_ros.study.recording import Start
 from fnn_ekf_ros.study.scenarios import NOMINAL, record
-from fnn_ekf_ros.training import training_set
+from fnn_ekf_ros.tools.train import EPOCHS, SUBJECTS
+from fnn_ekf_ros.training import joint_set, training_set
+from fnn_ekf_ros.training.descent import descend
+from fnn_ekf_ros.training.five_layers import as_sets
 
 Refuse = Callable[..., str]
 Succeed = Callable[..., str]
@@ -28,6 +34,9 @@ def few_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes the training set small."""
     monkeypatch.setattr(training_set, "RUNS", 6)
     monkeypatch.setattr(training_set, "STEPS", 60)
+    monkeypatch.setattr(joint_set, "RUNS", {"constant": 6, "slip": 1, "noisy sensors": 1})
+    monkeypatch.setattr(joint_set, "STEPS", 40)
+    monkeypatch.setattr(joint_set, "FEWEST_STEPS", 30)
 
 
 def test_the_packaged_set_is_what_the_command_writes(tmp_path: Path, succeed: Succeed) -> None:
@@ -87,6 +96,56 @@ def test_the_packaged_set_beats_the_papers(
         assert ratio["trained", factor] < ratio["published", factor], ratio
 
 
+def test_the_packaged_set_of_mode_joint_is_where_other_robots_lead(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The command takes half a minute: a smaller training set, from another seed."""
+    text = (resources.files("fnn_ekf_ros.membership") / "joint.yaml").read_text("utf-8")
+    rate = SUBJECTS["joint"].rate
+    assert (
+        f"train --network joint --initial joint_initial --epochs {EPOCHS} --rate {rate:g} --seed 1"
+    ) in text
+    monkeypatch.setattr(joint_set, "RUNS", {"constant": 32, "slip": 4, "noisy sensors": 4})
+    monkeypatch.setattr(joint_set, "STEPS", 200)
+    monkeypatch.setattr(joint_set, "FEWEST_STEPS", 60)
+    initial, packaged = read_membership("joint_initial"), read_membership("joint")
+    lesson = SUBJECTS["joint"].prepare(initial, 0, np.random.default_rng(2))
+    p, *data = np.array(lesson.start), lesson.inputs, lesson.targets, rate, lesson.weight
+    *_, learned = itertools.islice(descend(lesson.network, p, *data), EPOCHS + 1)
+    other = lesson.finish(as_sets(learned.parameters)).sets
+    u = np.linspace(-2.5, 2.5, 201)
+    before, there, here = (infer(sets, -u).change for sets in (initial.sets, other, packaged.sets))
+    np.testing.assert_allclose(here, -here[::-1], atol=1e-14)
+    assert np.max(np.abs(here)) < joint_set.LARGEST_CHANGE
+    assert np.max(np.abs(there - here)) < 0.25
+    assert np.max(np.abs(there - here)[np.abs(u) < 0.3]) < 0.06
+    assert np.max(np.abs(before - here)) > 0.1
+
+
+def test_mode_joint_learns_draws_and_replays_what_it_learned(
+    tmp_path: Path, succeed: Succeed, recorded: Path, few_robots: None
+) -> None:
+    pytest.importorskip("matplotlib")
+    for name, seed in (("one", 3), ("two", 3), ("three", 4)):
+        plots = ["--plots", tmp_path / "plots"] if name == "one" else []
+        said = succeed("train", "--network", "joint", "--out", tmp_path / name,
+                       "--epochs", 50, "--seed", seed, *plots)  # fmt: skip
+        assert f"use it with joint_membership_file:={tmp_path / name}" in said
+    one, two, three = ((tmp_path / name).read_bytes() for name in ("one", "two", "three"))
+    assert one == two
+    assert read_membership(str(tmp_path / "one")) != read_membership(str(tmp_path / "three"))
+    assert one != three
+    facts = json.loads((tmp_path / "plots" / "training.json").read_text())
+    assert (facts["network"], facts["initial"], facts["epochs"]) == ("joint", "joint_initial", 50)
+    assert np.all(np.diff(facts["loss"]) <= 0.0)
+    assert facts["loss"][-1] < facts["loss"][0]
+    for picture in ("membership", "change", "loss"):
+        assert (tmp_path / "plots" / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
+    words = ["--params", recorded.with_name(f"{recorded.name}.yaml")]
+    succeed("replay", recorded, tmp_path / "out", *words,
+            "-p", f"joint_membership_file:={tmp_path / 'one'}")  # fmt: skip
+
+
 def test_the_same_seed_writes_the_same_bytes(
     tmp_path: Path, succeed: Succeed, few_robots: None
 ) -> None:
@@ -131,6 +190,8 @@ def test_a_short_window_makes_a_larger_unit(
         (["--rate", "inf"], "--rate inf: expected more than 0"),
         (["--seed", "-1"], "--seed -1: expected 0 to"),
         (["--innovation-window", "1"], "--innovation-window 1: expected 2 to"),
+        (["--network", "joint", "--innovation-window", "45"], "mode joint has none"),
+        (["--network", "joint", "--rate", "0"], "--rate 0: expected more than 0"),
         (["--initial", "final"], "membership_file 'final': No such file"),
     ],
 )

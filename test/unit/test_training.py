@@ -11,6 +11,7 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.fuzzy import FuzzySets, infer
 from fnn_ekf_ros.membership.files import (
+    EXPLAINED,
     MembershipError,
     read_membership,
     render_membership,
@@ -18,7 +19,7 @@ from fnn_ekf_ros.membership.files import (
 )
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_1_STD
-from fnn_ekf_ros.study.scenarios import NOMINAL, record
+from fnn_ekf_ros.study.scenarios import NOMINAL, Scenario, record
 from fnn_ekf_ros.training import training_set
 from fnn_ekf_ros.training.descent import Epoch, LearningNetwork, descend
 from fnn_ekf_ros.training.five_layers import (
@@ -26,8 +27,12 @@ from fnn_ekf_ros.training.five_layers import (
     first_sets,
     five_layers,
     in_unit,
+    joint_network,
     learned_network,
+    mirrored,
+    odd_layers,
 )
+from fnn_ekf_ros.training.joint_set import JointObservations, average, observe_joint
 from fnn_ekf_ros.training.training_set import Observations, make_training_set, observe, pick
 
 # P, N, D, I, M, Z of order 1; all twelve numbers different.
@@ -101,6 +106,34 @@ def test_parameters_stay_feasible_whatever_the_step() -> None:
     assert kept.maintain_width == 0.0
     assert kept.zero_center == -7.0 * KNOWN.zero_center
     np.testing.assert_array_equal(network.feasible(np.array(KNOWN)), np.array(KNOWN))
+
+
+def test_pairs_count_by_their_weight() -> None:
+    D, dR = np.linspace(-3.0, 3.0, 13), np.linspace(2.0, -1.0, 13)
+
+    def after(chosen: FloatArray, weight: FloatArray | None) -> Epoch:
+        steps = descend(five_layers(OTHER), np.array(OTHER), D[chosen], dR[chosen], 0.1, weight)
+        return next(itertools.islice(steps, 3, None))
+
+    once, twice = np.arange(13), np.repeat(np.arange(13), 1 + (np.arange(13) > 6))
+    weighted = after(once, (1.0 + (once > 6)) / 19.0)
+    repeated = after(twice, None)
+    np.testing.assert_allclose(weighted.parameters, repeated.parameters, rtol=1e-12)
+    assert weighted.loss == pytest.approx(repeated.loss)
+
+
+def test_the_network_of_mode_joint_stays_odd_while_it_learns() -> None:
+    u = np.linspace(-3.0, 3.0, 62)
+    wanted = np.tanh(u) + 0.1  # the 0.1 cannot be learned
+    start = mirrored(OTHER)
+    steps = descend(odd_layers(start), np.array(start), -u, wanted, 0.02)
+    epochs = list(itertools.islice(steps, 300))
+    assert np.all(np.diff([epoch.loss for epoch in epochs]) < 0.0)
+    learned = joint_network(as_sets(epochs[-1].parameters), 2.0)
+    answer = infer(learned.sets, -u).change
+    np.testing.assert_allclose(answer, -answer[::-1], rtol=0.0, atol=1e-14)
+    assert abs(float(infer(learned.sets, np.zeros(1)).change[0])) < 1e-14
+    assert (learned.position_unit, learned.yaw_unit) == (1.0, 1.0)
 
 
 # --- what descent starts from and what it gives --------------------------------------------------
@@ -201,6 +234,61 @@ def test_a_seed_makes_the_training_set(monkeypatch: pytest.MonkeyPatch) -> None:
     assert made[0].position_scale != made[2].position_scale
 
 
+# --- training set of mode joint ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def asked() -> JointObservations:
+    """What settled learners asked for of 60 robots, some of them with noisier sensors."""
+    rng = np.random.default_rng(4)
+    robot = FakeRobotParameters(path="sim1")
+    scenario = Scenario(measurement_scale=25.0)
+    return observe_joint(record(robot, scenario, 100, 60, rng), read_membership("joint"), rng)
+
+
+def test_the_wanted_change_leads_to_the_true_noise(asked: JointObservations) -> None:
+    steps = 98  # two forecasts come first
+    u, wanted, right = (np.reshape(part, (steps, 60, -1)) for part in asked)
+    assert np.mean(right) == pytest.approx(0.25, abs=0.15)
+    told_right = right[0, :, 0] == 1.0
+    np.testing.assert_allclose(wanted[0, told_right], 0.0, atol=1e-12)
+    wrong = wanted[0, ~told_right]
+    assert np.max(np.abs(wrong)) < math.log(25.0)
+    assert np.std(wrong) == pytest.approx(math.log(25.0) / math.sqrt(3.0), rel=0.15)
+    # What was wanted and was not done is wanted again; R's true scale jumps by log 25 at step 40.
+    network = read_membership("joint")
+    rest = wanted[:-1] - infer(network.sets, -u[:-1]).change
+    jump = np.zeros((steps - 1, 1, 4))
+    jump[37, 0, 2:], jump[57, 0, 2:] = math.log(25.0), -math.log(25.0)
+    np.testing.assert_allclose(wanted[1:], rest + jump, atol=1e-9)
+    fixes = np.sqrt(np.mean(wanted[[0, 37], :, 2] ** 2, axis=-1))
+    assert fixes[1] < 0.3 * fixes[0]  # learned
+
+
+def test_evidence_points_to_the_true_noise_from_both_sides(asked: JointObservations) -> None:
+    u, wanted = asked.asked, asked.wanted_change
+    for side in (u > 0.3, u < -0.3):
+        assert np.mean(np.sign(u[side]) * wanted[side]) > 0.15
+
+
+def test_crisp_pairs_are_means_mirrored_and_bounded() -> None:
+    rng = np.random.default_rng(6)
+    u = rng.uniform(-2.0, 2.0, (60_000, 4))
+    u[:100, 0] = 2.9  # too few for a pair
+    delta = 0.8 * u + rng.standard_normal(u.shape)
+    pairs = average(JointObservations(u, delta, np.ones(len(u), dtype=bool)))
+    np.testing.assert_array_equal(pairs.asked, -pairs.asked[::-1])
+    np.testing.assert_array_equal(pairs.wanted_change, -pairs.wanted_change[::-1])
+    np.testing.assert_array_equal(pairs.weight, pairs.weight[::-1])
+    assert np.all(np.diff(pairs.asked) > 0.0)
+    assert np.max(pairs.asked) < 2.0
+    assert np.sum(pairs.weight) == pytest.approx(1.0)
+    np.testing.assert_allclose(
+        pairs.wanted_change, np.clip(0.8 * pairs.asked, -1.0, 1.0), atol=0.08
+    )
+    assert np.max(pairs.wanted_change) == 1.0
+
+
 # --- the file ------------------------------------------------------------------------------------
 
 
@@ -214,6 +302,18 @@ def test_a_written_file_is_read_bit_for_bit(tmp_path: Path) -> None:
         assert read_membership(str(path)) == network
         assert "# seed 3\n" in path.read_text()
     assert len(list(tmp_path.iterdir())) == 50
+
+
+def test_a_file_says_what_its_sets_are_functions_of() -> None:
+    network = joint_network(mirrored(KNOWN), 2.0)
+    of_mismatch, of_evidence = (
+        render_membership(network, []),
+        render_membership(network, [], EXPLAINED),
+    )
+    assert "x = C_hat - S in the units below." in of_mismatch
+    assert "# m^2, of position variances" in of_mismatch
+    assert "x = u in log variance." in of_evidence
+    assert "m^2" not in of_evidence
 
 
 def test_a_file_cut_short_anywhere_is_refused(tmp_path: Path) -> None:
