@@ -6,9 +6,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from fnn_ekf_ros.core.adaptation import FuzzyNetwork
+from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import finite_number
 from fnn_ekf_ros.text_files import read_text, write_text
 from fnn_ekf_ros.yaml_text import load_yaml
@@ -33,6 +34,19 @@ EXPLAINED = "u in log variance"
 
 class MembershipError(FnnEkfError):
     """A membership file that cannot be read or does not make sense."""
+
+
+def network_for(parameters: LocalizerParameters) -> FuzzyNetwork:
+    """Return the membership functions that the adaptation of a localizer uses.
+
+    The files of the other modes are read, too: a wrong name is refused in every mode.
+
+    Raises:
+        MembershipError: no such set or file, or a broken one.
+    """
+    paper = read_membership(parameters.membership_file)
+    joint = read_membership(parameters.joint_membership_file)
+    return joint if parameters.adaptation == AdaptationMode.JOINT else paper
 
 
 def read_membership(name: str) -> FuzzyNetwork:

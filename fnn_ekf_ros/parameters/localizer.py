@@ -199,11 +199,6 @@ class LocalizerParameters(Parameters):
     frame_id: str = parameter("map", "Frame of odom and of the fixes.")
     base_frame: str = parameter("base_link", "Frame of the robot: the middle of the axle.")
 
-    def network_file(self) -> str:
-        """Return the name of the membership functions that the adaptation uses."""
-        joint = self.adaptation == AdaptationMode.JOINT
-        return self.joint_membership_file if joint else self.membership_file
-
     def check(self) -> None:
         """Check that ticks have a size and that the noise starts within its bounds.
 

@@ -51,7 +51,7 @@ class Pipeline:
 
     Args:
         parameters: the localizer's parameters.
-        network: the membership functions that `network_file()` names.
+        network: the membership functions that the adaptation uses.
         on_period: is told of every period that is run, again when late inputs have it run again.
     """
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
@@ -180,5 +180,5 @@ def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
         parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
-        network = read_membership(parameters.network_file())
+        network = network_for(parameters)
         return spin_until_stopped(lambda: LocalizerNode(parameters, network))

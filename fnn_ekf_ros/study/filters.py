@@ -11,7 +11,7 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import STATE_SIZE
 from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
 from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.study.recording import Recording, Start, Track
@@ -171,7 +171,7 @@ def empty_track(steps: int, start: Start) -> Track:
 
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
     changed = dataclasses.replace(parameters, **changes)
-    return filter_model(changed, read_membership(changed.network_file()))
+    return filter_model(changed, network_for(changed))
 
 
 def _blind(recording: Recording) -> Recording:

@@ -20,7 +20,7 @@ import numpy as np
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.filter import FilterModel, FilterState, start_filter
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
@@ -110,7 +110,7 @@ def recording_pipeline(parameters: LocalizerParameters) -> tuple[Pipeline, Perio
     """Return the localizer's pipeline, adapting nothing, and what keeps its periods."""
     fixed = dataclasses.replace(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
     recorder = PeriodRecorder()
-    return Pipeline(fixed, read_membership(fixed.network_file()), recorder), recorder
+    return Pipeline(fixed, network_for(fixed), recorder), recorder
 
 
 def with_noise_of(parameters: LocalizerParameters, cell: Cell) -> LocalizerParameters:
@@ -143,7 +143,7 @@ def batch_start(
     Raises:
         ParameterError: the noise of a cell would leave its bounds.
     """
-    network = read_membership(parameters.network_file())
+    network = network_for(parameters)
     taken, states, models = 0, [], []
     for cell in cells:
         model = filter_model(with_noise_of(parameters, cell), network)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import STORAGES, BagError, BagReader, BagWriter, Record, Topic
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
-    network = read_membership(parameters.network_file())
+    network = network_for(parameters)
     names = TopicNames(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:

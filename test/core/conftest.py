@@ -13,12 +13,13 @@ from fnn_ekf_ros.core.adaptation import (
     AdaptationMode,
     FuzzyNetwork,
     InferenceKind,
-    NoiseBounds,
 )
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.filter import FilterModel
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.membership.files import read_membership
 
 # Nguyen et al., before learning; P, N, D, I, M, Z as the paper numbers them.
 INITIAL = FuzzySets(
@@ -52,6 +53,9 @@ PUBLISHED = FuzzySets(
     zero_width=0.0620,
 )
 
+# Mode joint's arguments are log variances: it has sets of its own.
+JOINT = read_membership("joint").sets
+
 
 WIDE_BOUNDS = NoiseBounds(
     process_min=(1e-8, 1e-8),
@@ -64,13 +68,15 @@ WIDE_BOUNDS = NoiseBounds(
 def build_adaptation(
     mode: str = "r",
     kind: str = "tsukamoto",
-    sets: FuzzySets = PUBLISHED,
+    sets: FuzzySets | None = None,
     position_unit: float = 1e-6,
     yaw_unit: float = 1e-6,
     window_length: int = 45,
     bounds: NoiseBounds = WIDE_BOUNDS,
 ) -> Adaptation:
     """Return an adaptation in mm^2 and mrad^2 with limits nothing ordinary reaches."""
+    if sets is None:
+        sets = JOINT if mode == "joint" else PUBLISHED
     network = FuzzyNetwork(sets, position_unit, yaw_unit, change_limit=1e4)
     return Adaptation(AdaptationMode(mode), InferenceKind(kind), network, window_length, bounds)
 

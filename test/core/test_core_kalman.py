@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.kalman import MEASUREMENT_JACOBIAN, correct, predict_covariance
+from fnn_ekf_ros.core.kalman import (
+    MEASUREMENT_JACOBIAN,
+    correct,
+    innovate,
+    predict_covariance,
+    update,
+)
 from fnn_ekf_ros.core.motion import MotionModel, move
 
 Covariances = Callable[[np.random.Generator, int, int], FloatArray]
@@ -153,6 +159,47 @@ def test_masked_rows_equal_dropped_rows(
         assert result.nis == pytest.approx(nis, abs=1e-12)
         assert result.degrees_of_freedom == len(rows)
         assert np.all(result.innovation[~available] == 0.0)
+
+
+@pytest.mark.parametrize("mask", ALL_MASKS, ids=str)
+def test_innovation_then_update_is_the_correction(
+    mask: tuple[bool, ...], random_covariances: Covariances
+) -> None:
+    """And S, its determinant and the gain are those of the rows that are there."""
+    rng = np.random.default_rng(22)
+    available = np.array(mask)
+    rows = [i for i in range(4) if mask[i]]
+    for P, R in zip(random_covariances(rng, 8, 3), random_covariances(rng, 8, 4), strict=True):
+        mean, z = 0.3 * rng.standard_normal(3), 0.3 * rng.standard_normal(4)
+        seen = innovate(mean, P, z, R, available)
+        updated_mean, updated_P = update(mean, P, R, available, seen)
+        together = correct(mean, P, z, R, available)
+        assert updated_mean.tobytes() == together.mean.tobytes()
+        assert updated_P.tobytes() == together.covariance.tobytes()
+        expected_mean, expected_P, _ = dropped_rows(mean, P, z, R, rows)
+        np.testing.assert_allclose(updated_mean, expected_mean, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(updated_P, expected_P, rtol=0.0, atol=1e-12)
+
+        H = MEASUREMENT_JACOBIAN[rows]
+        S, gain = np.eye(4), np.zeros((3, 4))
+        S[np.ix_(rows, rows)] = H @ P @ H.T + R[np.ix_(rows, rows)]
+        gain[:, rows] = P @ H.T @ np.linalg.inv(S[np.ix_(rows, rows)])
+        np.testing.assert_allclose(seen.innovation_covariance, S, rtol=1e-14)
+        np.testing.assert_allclose(seen.kalman_gain, gain, rtol=0.0, atol=1e-13)
+        assert np.all(seen.kalman_gain[:, ~available] == 0.0)
+
+
+def test_many_filters_innovate_from_one_measurement(random_covariances: Covariances) -> None:
+    """The measurement and its mask have a batch axis of length 1."""
+    rng = np.random.default_rng(23)
+    mean, P, R = rng.standard_normal((5, 3)), random_covariances(rng, 5, 3), np.eye(4)
+    z, available = rng.standard_normal((1, 4)), np.array([[True, False, True, True]])
+    seen = innovate(mean, P, z, R, available)
+    together = update(mean, P, R, available, seen)
+    for i in range(5):
+        alone = correct(mean[i], P[i], z[0], R, available[0])
+        np.testing.assert_allclose(together[0][i], alone.mean, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(together[1][i], alone.covariance, rtol=1e-12, atol=1e-13)
 
 
 def test_without_any_row_nothing_changes(random_covariances: Covariances) -> None:

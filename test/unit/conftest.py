@@ -12,7 +12,7 @@ import pytest
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.cli import run_command
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -73,11 +73,10 @@ def make_pipeline(
     make_parameters: Callable[..., LocalizerParameters],
 ) -> Callable[..., Pipeline]:
     """A pipeline for the paper's robot, with changed parameters."""
-    read = functools.cache(read_membership)
 
     def make(**changes: Any) -> Pipeline:
         parameters = make_parameters(**changes)
-        return Pipeline(parameters, read(parameters.network_file()))
+        return Pipeline(parameters, network_for(parameters))
 
     return make
 

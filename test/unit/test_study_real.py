@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import Row
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
@@ -86,7 +86,7 @@ def outputs_of(
 ) -> list[Any]:
     """Return the estimates of the localizer itself."""
     told = dataclasses.replace(with_noise_of(parameters, cell), **FILTERS[name])
-    pipeline = Pipeline(told, read_membership(told.network_file()))
+    pipeline = Pipeline(told, network_for(told))
     return [o.estimate for o in feed(pipeline, arrivals) if o.estimate is not None]
 
 

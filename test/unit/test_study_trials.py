@@ -7,7 +7,7 @@ import pytest
 
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.filter import StepInput, start_filter, step
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
@@ -137,7 +137,7 @@ def test_filters_are_the_localizers_own(
     recording, start = tiny
     track = study_filters(make_parameters(**shared))[name].run(recording, start)
     parameters = make_parameters(**shared, **changes)
-    model = filter_model(parameters, read_membership(parameters.network_file()))
+    model = filter_model(parameters, network_for(parameters))
     state = start_filter(model, *start)
     for t in range(TINY.steps):
         period = StepInput(
@@ -285,7 +285,8 @@ def test_what_the_studies_try(filters: dict[str, StudyFilter]) -> None:
 
     cases = list(dynamic.trials(TINY, filters["oracle"]))
     assert [each.name for each in cases] == list(dynamic.CASES)
-    assert all(each.cells == (RIGHT, *CORNERS) for each in cases)
+    assert all(each.cells == dynamic.CASES[each.name].cells for each in cases)
+    assert {each.cells for each in cases} == {(RIGHT, *CORNERS), ALL_CELLS}
     lost = {each.name: ~each.recording.available[8:12, 0] for each in cases}
     assert lost["fixes_lost"][:, [Row.X, Row.Y]].all()
     assert lost["compass_lost"][:, Row.COMPASS_YAW].all()

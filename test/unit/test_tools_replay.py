@@ -236,7 +236,7 @@ def test_replay_of_wheels_only_starts_and_then_drifts(
         (["-p", "measurement_noise_std:=[.nan, 1, 1]"], "parameter 'measurement_noise_std'"),
         (["-p", "wheel_radius:=0.0"], "parameter 'wheel_radius' is not set"),
         (["-p", "period"], "-p period: expected name:=value"),
-        (["-p", "adaptation:=r", "-p", "membership_file:=nowhere.yaml"],
+        (["-p", "membership_file:=nowhere.yaml"],
          "membership_file 'nowhere.yaml': No such file"),
         (["-p", "encoder_source:=joint_states", "-r", "joint_states:=nothing"],
          "has no topic /nothing (sensor_msgs/msg/JointState)"),
