@@ -68,7 +68,10 @@ SLIP: FloatArray = np.array([1.0, 1.0, 0.0, 0.0]) * np.log(50.0)
 ALARM_MEMORY = 0.9
 """Part of a sudden hypothesis' lead that is remembered from one period to the next."""
 ALARM_LEAD = 6.0
-"""Lead [nats] at which a sudden hypothesis (fast, slip) has half of the say."""
+"""Lead [nats] at which a sudden hypothesis (fast, slip) has half of the say; without a lead it
+has none."""
+LONGEST_LEAD = 2.0 * ALARM_LEAD
+"""No lead grows further, so that it is gone ten periods after its reason is."""
 LARGEST_LEAD = 50.0
 STANDSTILL = (1e-3, 1e-3)
 """A nominal period with less way and turn teaches nothing: fixes are too quiet then (m, rad)."""
@@ -94,8 +97,8 @@ class JointState(NamedTuple):
             than the calm hypotheses [nats].
         mean: `(..., 20, 3)` filters: the start's noise, the two learners' stars, slip.
         covariance: `(..., 20, 3, 3)` their covariances.
-        forecast_mean: `(..., 2, 10, 3)` the first ten filters without the last two and the last
-            measurement.
+        forecast_mean: `(..., 2, 10, 3)` the first ten filters as they were after the last but
+            one and after the last measurement, predicted to now.
         forecast_covariance: `(..., 2, 10, 3, 3)` their covariances.
         forecast_count: `(...)` how many of the two forecasts there are, the newest last.
     """
@@ -276,7 +279,8 @@ def _learn_all(
     of_slip = log_likelihood(_pick(seen, slice(_FILTERS - 1, None)))[..., 0]
     gained = np.stack([of_fast.log_likelihood, of_slip], axis=-1) - calm[..., None]
     gained = np.clip(gained, -LARGEST_LEAD, LARGEST_LEAD)
-    lead_now = np.where(teaches[..., None], ALARM_MEMORY * state.lead + gained, state.lead)
+    lead_now = np.minimum(ALARM_MEMORY * state.lead + gained, LONGEST_LEAD)
+    lead_now = np.where(teaches[..., None], lead_now, state.lead)
     return both._replace(start_weight=w, lead=lead_now), explained, alpha
 
 
@@ -369,13 +373,10 @@ def _log_scale_in_use(state: JointState) -> FloatArray:
 
 def _weights(state: JointState) -> FloatArray:
     """Return the weights `(..., 4)`: the two calm hypotheses by their odds, the sudden by lead."""
-    calm = np.full_like(state.lead[..., :1], ALARM_LEAD)
-    lead = np.concatenate([calm, state.lead], axis=-1)
-    share = np.exp(lead - np.max(lead, axis=-1, keepdims=True))
-    share = share / np.sum(share, axis=-1, keepdims=True)
+    sudden = np.expm1(np.maximum(state.lead, 0.0)) / np.exp(ALARM_LEAD)
+    calm = 1.0 / (1.0 + np.sum(sudden, axis=-1, keepdims=True))
     w = state.start_weight
-    calm_share = share[..., :1] * np.stack([w, 1.0 - w], axis=-1)
-    return np.concatenate([calm_share, share[..., 1:]], axis=-1)
+    return np.concatenate([calm * np.stack([w, 1.0 - w], axis=-1), calm * sudden], axis=-1)
 
 
 def _log_limits(state: JointState, bounds: NoiseBounds) -> tuple[FloatArray, FloatArray]:
