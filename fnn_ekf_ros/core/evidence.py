@@ -50,7 +50,8 @@ class Evidence(NamedTuple):
     Attributes:
         log_likelihood: `(...)` of the star's centre.
         score: `(..., 4)` derivative of the log likelihood by the log scales.
-        information: `(..., 4, 4)` its expected curvature; positive semidefinite.
+        information: `(..., 4, 4)` its expected curvature, but for what the tails take from
+            several rows together; positive semidefinite.
     """
 
     log_likelihood: FloatArray

@@ -72,14 +72,15 @@ ALARM_LEAD = 6.0
 has none."""
 LONGEST_LEAD = 2.0 * ALARM_LEAD
 """No lead grows further, so that it is gone ten periods after its reason is."""
-LARGEST_LEAD = 50.0
+LARGEST_GAIN = 50.0
+"""No measurement says more for one hypothesis against another [nats]."""
 STANDSTILL = (1e-3, 1e-3)
 """A nominal period with less way and turn teaches nothing: fixes are too quiet then (m, rad)."""
 
 _SETTLED, _FAST = 0, 1
 _FORECAST_FILTERS = 1 + STAR_SIZE
 _FILTERS = 1 + len(LONGEST_MEMORY) * STAR_SIZE + 1
-_ROW_SCALE = [2, 2, 3, 3]
+ROW_SCALE = [2, 2, 3, 3]
 """Which scale each row's R follows."""
 
 
@@ -190,10 +191,19 @@ def noise_in_use(state: JointState, bounds: NoiseBounds) -> tuple[FloatArray, Fl
             state.process_noise * np.exp(theta[..., :2]), bounds.process_min, bounds.process_max
         ),
         np.clip(
-            state.measurement_noise * np.exp(theta[..., _ROW_SCALE]),
+            state.measurement_noise * np.exp(theta[..., ROW_SCALE]),
             bounds.measurement_min,
             bounds.measurement_max,
         ),
+    )
+
+
+def calm_noise(state: JointState) -> tuple[FloatArray, FloatArray]:
+    """Return Q `(..., 2)` and R `(..., 4)` of the calm hypotheses: what outlives an alarm."""
+    settled = state.log_scale[..., _SETTLED, :] * (1.0 - state.start_weight)[..., None]
+    return (
+        state.process_noise * np.exp(settled[..., :2]),
+        state.measurement_noise * np.exp(settled[..., ROW_SCALE]),
     )
 
 
@@ -213,7 +223,8 @@ def adapt_jointly(
         bounds: what the noise cannot leave.
         state: the state before; not changed.
         period: what the period brought.
-        learning: False only moves the filters on; what was learned stays as it is.
+        learning: False only moves the filters on; what was learned stays as it is, and what a
+            sudden hypothesis has to say fades.
     """
     Q, R = _noise_of_filters(state)
     each = for_each(period)
@@ -244,9 +255,8 @@ def adapt_jointly(
     teaches = measured & ~np.all(still, axis=-1) & learning
     moved = state._replace(mean=mean, covariance=covariance)
     after, explained, alpha = _learn_all(moved, sets, bounds, seen, forecast, teaches)
-    if learning:
-        faded = np.where(teaches[..., None], after.lead, ALARM_MEMORY * after.lead)
-        after = after._replace(lead=faded)
+    faded = np.where(teaches[..., None], after.lead, ALARM_MEMORY * after.lead)
+    after = after._replace(lead=faded)
     after = _shift_forecasts(after, ahead, spread, measured)
     return after, JointReport(_log_scale_in_use(after), explained, alpha, _weights(after))
 
@@ -268,7 +278,7 @@ def _learn_all(
 
     lead = log_likelihood(_pick(forecast, slice(0, 1)))[..., 0] - of_forecast.log_likelihood
     w = state.start_weight
-    w = w / (w + (1.0 - w) * np.exp(-np.clip(lead, -LARGEST_LEAD, LARGEST_LEAD)))
+    w = w / (w + (1.0 - w) * np.exp(-np.clip(lead, -LARGEST_GAIN, LARGEST_GAIN)))
     w = (1.0 - SWITCHING_RATE) * w + SWITCHING_RATE * START_WEIGHT
     w = np.where(foreseen, w, state.start_weight)
 
@@ -278,7 +288,7 @@ def _learn_all(
     calm = best + np.log(w * relative[..., 0] + (1.0 - w) * relative[..., 1])
     of_slip = log_likelihood(_pick(seen, slice(_FILTERS - 1, None)))[..., 0]
     gained = np.stack([of_fast.log_likelihood, of_slip], axis=-1) - calm[..., None]
-    gained = np.clip(gained, -LARGEST_LEAD, LARGEST_LEAD)
+    gained = np.clip(gained, -LARGEST_GAIN, LARGEST_GAIN)
     lead_now = np.minimum(ALARM_MEMORY * state.lead + gained, LONGEST_LEAD)
     lead_now = np.where(teaches[..., None], lead_now, state.lead)
     return both._replace(start_weight=w, lead=lead_now), explained, alpha
@@ -361,7 +371,7 @@ def _noise_of_filters(state: JointState) -> tuple[FloatArray, FloatArray]:
     )
     return (
         state.process_noise[..., None, :] * np.exp(theta[..., :2]),
-        state.measurement_noise[..., None, :] * np.exp(theta[..., _ROW_SCALE]),
+        state.measurement_noise[..., None, :] * np.exp(theta[..., ROW_SCALE]),
     )
 
 

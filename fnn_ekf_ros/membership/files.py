@@ -45,33 +45,50 @@ def network_for(parameters: LocalizerParameters) -> FuzzyNetwork:
         MembershipError: no such set or file, or a broken one.
     """
     paper = read_membership(parameters.membership_file)
-    joint = read_membership(parameters.joint_membership_file)
+    joint = read_membership(parameters.joint_membership_file, "joint_membership_file")
+    if _without_unit(paper):
+        raise MembershipError(
+            f"membership_file '{parameters.membership_file}' has no units: it is for mode joint; "
+            "give it as joint_membership_file"
+        )
+    if not _without_unit(joint):
+        raise MembershipError(
+            f"joint_membership_file '{parameters.joint_membership_file}' has units: it is for "
+            "the modes r and q; give it as membership_file"
+        )
     return joint if parameters.adaptation == AdaptationMode.JOINT else paper
 
 
-def read_membership(name: str) -> FuzzyNetwork:
+def _without_unit(network: FuzzyNetwork) -> bool:
+    """Return whether the functions are of what evidence asks for, which has no unit."""
+    return network.position_unit == 1.0 and network.yaw_unit == 1.0
+
+
+def read_membership(name: str, parameter: str = "membership_file") -> FuzzyNetwork:
     """Return the membership functions of a packaged set or of a user's file.
 
     Args:
         name: one of `PACKAGED`, or a path.
+        parameter: what names it, for refusals.
 
     Raises:
         MembershipError: no such set or file, or a broken one.
     """
+    label = f"{parameter} '{name}'"
     if name in PACKAGED:
         text = (resources.files(__package__) / f"{name}.yaml").read_text(encoding="utf-8")
     else:
         try:
-            text = read_text(Path(name), "membership_file", MembershipError)
+            text = read_text(Path(name), parameter, MembershipError)
         except MembershipError as error:
             raise MembershipError(
                 f"{error}; expected one of {', '.join(PACKAGED)}, or the path of a file"
             ) from None
     try:
-        content = load_yaml(text, f"membership_file '{name}'", MembershipError)
+        content = load_yaml(text, label, MembershipError)
     except MembershipError as error:
         raise MembershipError(f"{error}; mend or {REMEDY}") from None
-    return _network(name, content)
+    return _network(label, content)
 
 
 def write_membership(
@@ -123,56 +140,52 @@ def render_membership(network: FuzzyNetwork, notes: Sequence[str], argument: str
     return _HEAD.format(argument=argument) + "\n".join(lines) + "\n"
 
 
-def _network(name: str, content: Any) -> FuzzyNetwork:
+def _network(label: str, content: Any) -> FuzzyNetwork:
     if not isinstance(content, dict) or "version" not in content:
         raise MembershipError(
-            f"membership_file '{name}' has no version: it was cut short or is of another kind; "
-            f"{REMEDY}"
+            f"{label} has no version: it was cut short or is of another kind; {REMEDY}"
         )
     version = content["version"]
     if type(version) is not int or version != FORMAT_VERSION:
         newer = type(version) is int and version > FORMAT_VERSION
         remedy = "update fnn_ekf_ros, or " if newer else ""
         raise MembershipError(
-            f"membership_file '{name}' has version {reprlib.repr(version)}: expected "
+            f"{label} has version {reprlib.repr(version)}: expected "
             f"{FORMAT_VERSION}; {remedy}{REMEDY}"
         )
-    _check_keys(name, content, {"version", "sets", *_POSITIVE})
+    _check_keys(label, content, {"version", "sets", *_POSITIVE})
     if not isinstance(content["sets"], dict):
-        raise MembershipError(f"membership_file '{name}': expected 'sets' to hold parameters")
-    _check_keys(name, content["sets"], set(FuzzySets._fields))
-    values = {key: _number(name, key, content["sets"][key]) for key in FuzzySets._fields}
-    units = {key: _number(name, key, content[key]) for key in _POSITIVE}
+        raise MembershipError(f"{label}: expected 'sets' to hold parameters")
+    _check_keys(label, content["sets"], set(FuzzySets._fields))
+    values = {key: _number(label, key, content["sets"][key]) for key in FuzzySets._fields}
+    units = {key: _number(label, key, content[key]) for key in _POSITIVE}
     for key, value in {**units, "zero_width": values["zero_width"]}.items():
         if value <= 0.0:
-            raise MembershipError(
-                f"membership_file '{name}': {key} is {value:g}: expected more than 0"
-            )
+            raise MembershipError(f"{label}: {key} is {value:g}: expected more than 0")
     if values["increase_slope"] == 0.0:
-        raise MembershipError(f"membership_file '{name}': increase_slope is 0: it must not be")
+        raise MembershipError(f"{label}: increase_slope is 0: it must not be")
     if values["maintain_width"] < 0.0:
         raise MembershipError(
-            f"membership_file '{name}': maintain_width is {values['maintain_width']:g}: "
-            "expected at least 0"
+            f"{label}: maintain_width is {values['maintain_width']:g}: expected at least 0"
         )
     return FuzzyNetwork(FuzzySets(**values), **units)
 
 
-def _check_keys(name: str, content: dict[Any, Any], expected: set[str]) -> None:
+def _check_keys(label: str, content: dict[Any, Any], expected: set[str]) -> None:
     for word, keys in (
         ("lacks", expected - content.keys()),
         ("has unknown", content.keys() - expected),
     ):
         if keys:
             listed = ", ".join(sorted(map(str, keys)))
-            raise MembershipError(f"membership_file '{name}' {word} {listed}; mend or {REMEDY}")
+            raise MembershipError(f"{label} {word} {listed}; mend or {REMEDY}")
 
 
-def _number(name: str, key: str, value: Any) -> float:
+def _number(label: str, key: str, value: Any) -> float:
     number = finite_number(value)
     if number is None or (number != 0.0 and not SMALLEST <= abs(number) <= LARGEST):
         raise MembershipError(
-            f"membership_file '{name}': {key} is {reprlib.repr(value)}: expected a number, 0 or "
+            f"{label}: {key} is {reprlib.repr(value)}: expected a number, 0 or "
             f"between {SMALLEST:g} and {LARGEST:g} in size"
         )
     return number

@@ -16,6 +16,7 @@ import numpy as np
 from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, FilterModel, FilterState
+from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, PoseReset, Rejected, Status
@@ -144,10 +145,12 @@ class Pipeline:
         self._now_ns = -_NEVER_NS
 
     def _noise(self) -> tuple[FloatArray, FloatArray]:
-        """Return Q and R as they were adapted last."""
+        """Return Q and R as they were adapted last, without what an alarm adds for a moment."""
         if not self._checkpoints:
             return self._start_noise
         last = self._checkpoints[-1].state
+        if isinstance(last, FilterState) and last.joint is not None:
+            return calm_noise(last.joint)
         return last.process_noise, last.measurement_noise
 
     def _state(self) -> FilterState | Waiting:
@@ -232,6 +235,8 @@ class Pipeline:
             return checkpoint, None
         if not np.all(np.isfinite(state.mean)):
             raise ArithmeticError("the pose is not finite")
+        if not np.all(np.isfinite([*state.process_noise, *state.measurement_noise])):
+            raise ArithmeticError("the noise is not finite")
         if not np.linalg.eigvalsh(state.covariance)[0] > 0.0:
             raise ArithmeticError("the covariance is not positive definite")
         T = self.parameters.period

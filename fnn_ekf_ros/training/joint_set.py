@@ -38,6 +38,7 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row, diagonal_matrix
 from fnn_ekf_ros.core.evidence import SCALE_COUNT
 from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
+from fnn_ekf_ros.core.joint import ROW_SCALE
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.paper import (
@@ -75,8 +76,6 @@ FARTHEST = 3.0
 INTERVALS = 18
 FEWEST_STEPS = 200
 """An interval with fewer steps makes no pair: their mean is too uncertain."""
-_ROW_SCALE = [2, 2, 3, 3]
-"""Which scale each row's R follows: x and y position, compass and laser yaw."""
 
 
 class JointObservations(NamedTuple):
@@ -144,7 +143,7 @@ def observe_joint(
 
     model = _joint_filter(network)
     state = start_filter(
-        model, mean, diagonal_matrix(first), Q * assumed[:, :2], R * assumed[:, _ROW_SCALE]
+        model, mean, diagonal_matrix(first), Q * assumed[:, :2], R * assumed[:, ROW_SCALE]
     )
     true_scale = np.log(_of_scales(recording) / _of_scales(recording)[0])
     seen = []

@@ -11,7 +11,13 @@ from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.filter import FilterModel, FilterState, StepInput, start_filter, step
-from fnn_ekf_ros.core.joint import LARGEST_LEAD, LONGEST_MEMORY, SLIP, JointState
+from fnn_ekf_ros.core.joint import (
+    LARGEST_GAIN,
+    LONGEST_LEAD,
+    LONGEST_MEMORY,
+    SLIP,
+    JointState,
+)
 from fnn_ekf_ros.core.motion import MotionModel, move
 
 MakeModel = Callable[..., FilterModel]
@@ -277,7 +283,7 @@ def test_hostile_drives_leave_it_sound(
         np.linalg.cholesky(joint.information)
         np.testing.assert_allclose(np.sum(result.joint.weights, axis=-1), 1.0, rtol=1e-12)
         assert np.all((joint.start_weight > 0.0) & (joint.start_weight < 1.0))
-        assert np.all(np.abs(joint.lead) < 20.0 * LARGEST_LEAD)
+        assert np.all((joint.lead <= LONGEST_LEAD) & (joint.lead > -20.0 * LARGEST_GAIN))
         assert np.all(joint.memory <= LONGEST_MEMORY)
         scale = np.exp(joint.log_scale[:, :, :2]) * Q[:, None]
         assert np.all(scale > 0.999 * np.array(b.process_min))

@@ -2,10 +2,16 @@
 
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from fnn_ekf_ros.membership.files import PACKAGED, MembershipError, read_membership
+from fnn_ekf_ros.membership.files import (
+    PACKAGED,
+    MembershipError,
+    network_for,
+    read_membership,
+)
 
 PUBLISHED = (resources.files("fnn_ekf_ros.membership") / "published.yaml").read_text("utf-8")
 
@@ -84,3 +90,25 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         (tmp_path / "odd").write_text(content)
         with pytest.raises(MembershipError, match="version"):
             read_membership(str(tmp_path / "odd"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"membership_file": "joint"}, "'joint' has no units: it is for mode joint"),
+        ({"joint_membership_file": "trained"}, "joint_membership_file 'trained' has units"),
+        ({"joint_membership_file": "nowhere"}, "joint_membership_file 'nowhere': No such file"),
+        ({"membership_file": "nowhere"}, "membership_file 'nowhere': No such file"),
+    ],
+)
+@pytest.mark.parametrize("adaptation", ["joint", "r", "none"])
+def test_a_set_that_is_not_for_its_mode_is_refused_in_every_mode(
+    make_parameters: Any, adaptation: str, changes: dict[str, str], said: str
+) -> None:
+    with pytest.raises(MembershipError, match=said):
+        network_for(make_parameters(adaptation=adaptation, **changes))
+
+
+def test_each_mode_gets_its_own_set(make_parameters: Any) -> None:
+    for adaptation, name in (("joint", "joint"), ("r", "published"), ("none", "published")):
+        assert network_for(make_parameters(adaptation=adaptation)) == read_membership(name)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Event,
@@ -286,6 +287,22 @@ def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(
     assert status.level is Level.WARN
     assert ("back" in status.message) is (jump_s < 0)
     assert value_of(status, "restarts") == "1"
+
+
+def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.4, 0.4, 0.5])
+    last = feed(pipeline, arrivals)[-1].estimate
+    assert last is not None
+    assert last.state.joint is not None
+    expected = calm_noise(last.state.joint)
+    outputs = feed(pipeline, shifted(arrivals, 2000 * SECOND_NS))
+    first = next(o.estimate for o in outputs if o.estimate is not None)
+    np.testing.assert_allclose(first.state.process_noise, expected[0], rtol=1e-12)
+    np.testing.assert_allclose(first.state.measurement_noise, expected[1], rtol=1e-12)
+    assert np.all(expected[1][:3] < 0.7 * np.array([0.16, 0.16, 0.25]))
 
 
 def test_a_clock_that_jumps_twice_keeps_the_adapted_noise(
