@@ -16,8 +16,9 @@ from fnn_ekf_ros.tools.scoring import Score, score
 pytestmark = pytest.mark.live
 GOOD_NOISE = [
     "-p", "process_noise_std:=[0.04, 0.08]", "-p", "measurement_noise_std:=[0.8, 0.8, 0.3]",
-    "-p", "lrf_yaw_std:=0.3",
+    "-p", "lrf_yaw_std:=0.3", "-p", "adaptation:=none",
 ]  # fmt: skip
+"""Found by hand for one of the recordings, so that nothing is left to adapt."""
 
 
 def played(
