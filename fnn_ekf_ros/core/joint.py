@@ -71,7 +71,7 @@ ALARM_LEAD = 6.0
 """Lead [nats] at which a sudden hypothesis (fast, slip) has half of the say; without a lead it
 has none."""
 LONGEST_LEAD = 2.0 * ALARM_LEAD
-"""No lead grows further, so that it is gone ten periods after its reason is."""
+"""No lead grows further: seven periods after its reason has gone it has half of the say."""
 LARGEST_GAIN = 50.0
 """No measurement says more for one hypothesis against another [nats]."""
 STANDSTILL = (1e-3, 1e-3)

@@ -48,13 +48,13 @@ def network_for(parameters: LocalizerParameters) -> FuzzyNetwork:
     joint = read_membership(parameters.joint_membership_file, "joint_membership_file")
     if _without_unit(paper):
         raise MembershipError(
-            f"membership_file '{parameters.membership_file}' has no units: it is for mode joint; "
-            "give it as joint_membership_file"
+            f"membership_file '{parameters.membership_file}' has units of 1, as sets of mode joint "
+            "have: give it as joint_membership_file"
         )
     if not _without_unit(joint):
         raise MembershipError(
-            f"joint_membership_file '{parameters.joint_membership_file}' has units: it is for "
-            "the modes r and q; give it as membership_file"
+            f"joint_membership_file '{parameters.joint_membership_file}' has units other than 1, "
+            "as sets of the modes r and q have: give it as membership_file"
         )
     return joint if parameters.adaptation == AdaptationMode.JOINT else paper
 

@@ -151,6 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_text(out / "results.md", study_tables.head(made_by) + study.tables(outcomes, labels))
     study.figures(out, outcomes, labels)
     print(f"{out}: {study.trial_count} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
+    print(f"{out / 'results.md'}: the tables")
     return 0
 
 

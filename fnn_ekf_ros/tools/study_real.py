@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         name, _ = parse_assignment(text)
         if name in SET_BY_FILTERS:
             raise FnnEkfError(f"parameter '{name}': the filters' names decide on it")
-    labels = [path.stem if path.is_file() else path.name for path in arguments.bags]
+    labels = [path.stem if path.is_file() else path.resolve().name for path in arguments.bags]
     if len(set(labels)) < len(labels):
         raise FnnEkfError(f"{', '.join(labels)}: expected bags of different names")
     out = arguments.out
@@ -137,6 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_text(out / f"localizer_{result.label}.yaml", text)
         draw_real(out / f"real_{result.label}.png", result)
     print(f"{out}: {', '.join(labels)} from {len(ALL_CELLS)} starts, {', '.join(names)}")
+    print(f"{out / 'results.md'}: the tables")
     return 0
 
 

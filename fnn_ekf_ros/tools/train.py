@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import FuzzyNetwork
+from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
@@ -82,6 +82,7 @@ class Subject(NamedTuple):
         pairs: what its training set is made of.
         argument: what its membership functions are functions of.
         parameter: the localizer's that takes the file.
+        mode: the adaptation that uses it.
         prepare: takes the network to start from, N of eq. 13 and a source of randomness.
     """
 
@@ -90,6 +91,7 @@ class Subject(NamedTuple):
     pairs: str
     argument: str
     parameter: str
+    mode: AdaptationMode
     prepare: Callable[[FuzzyNetwork, int, np.random.Generator], Lesson]
 
 
@@ -135,9 +137,17 @@ def _joint(before: FuzzyNetwork, _: int, rng: np.random.Generator) -> Lesson:
 
 
 SUBJECTS = {
-    "paper": Subject("initial", 0.01, "(D, dR)", MISMATCH, "membership_file", _paper),
+    "paper": Subject(
+        "initial", 0.01, "(D, dR)", MISMATCH, "membership_file", AdaptationMode.R, _paper
+    ),
     "joint": Subject(
-        "joint_initial", 0.1, "(u, dtheta)", EXPLAINED, "joint_membership_file", _joint
+        "joint_initial",
+        0.1,
+        "(u, dtheta)",
+        EXPLAINED,
+        "joint_membership_file",
+        AdaptationMode.JOINT,
+        _joint,
     ),
 }
 """`--network`: the paper's network for modes r and q, and the one of mode joint."""
@@ -216,7 +226,8 @@ def run(arguments: argparse.Namespace) -> int:
         write_text(arguments.plots / "training.json", f"{text}\n")
     print(summary)
     print(
-        f"{arguments.out}: membership functions; use it with {subject.parameter}:={arguments.out}"
+        f"{arguments.out}: membership functions; use it with {subject.parameter}:={arguments.out} "
+        f"and adaptation:={subject.mode}"
     )
     return 0
 

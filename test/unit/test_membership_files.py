@@ -95,8 +95,11 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"membership_file": "joint"}, "'joint' has no units: it is for mode joint"),
-        ({"joint_membership_file": "trained"}, "joint_membership_file 'trained' has units"),
+        ({"membership_file": "joint"}, "'joint' has units of 1, as sets of mode joint"),
+        (
+            {"joint_membership_file": "trained"},
+            "joint_membership_file 'trained' has units other than 1",
+        ),
         ({"joint_membership_file": "nowhere"}, "joint_membership_file 'nowhere': No such file"),
         ({"membership_file": "nowhere"}, "membership_file 'nowhere': No such file"),
     ],

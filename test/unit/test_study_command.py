@@ -45,7 +45,9 @@ def suffixes(folder: Path, suffix: str) -> set[str]:
 def test_grid(tmp_path: Path, succeed: Succeed) -> None:
     out = tmp_path / "new" / "out"
     said = succeed("study", "grid", "--out", out, *TINY, "--filters", "ekf,r_published")
-    assert said == f"{out}: 2 trials of 3 runs, oracle, ekf, r_published\n"
+    assert said == (
+        f"{out}: 2 trials of 3 runs, oracle, ekf, r_published\n{out / 'results.md'}: the tables\n"
+    )
     assert suffixes(out, ".png") == {
         f"grid_{trial}_{name}_{kind}.png"
         for trial in ("sim1", "sim2")

@@ -224,7 +224,10 @@ def test_scores() -> None:
 def test_the_command(tmp_path: Path, succeed: Succeed, recorded: Path) -> None:
     out = tmp_path / "new" / "out"
     said = succeed("study", "real", recorded, "--out", out, "--filters", "joint, r_published")
-    assert said == f"{out}: recorded from 25 starts, ekf, joint, r_published\n"
+    assert said == (
+        f"{out}: recorded from 25 starts, ekf, joint, r_published\n"
+        f"{out / 'results.md'}: the tables\n"
+    )
     assert {path.name for path in out.iterdir()} == {
         "results.json", "results.md", "real_recorded.png", "localizer_recorded.yaml",
     }  # fmt: skip
