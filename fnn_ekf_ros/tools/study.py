@@ -133,6 +133,10 @@ def run(arguments: argparse.Namespace) -> int:
     if numbers.parent != out and not numbers.parent.is_dir():
         raise FnnEkfError(f"--json '{numbers}': there is no folder '{numbers.parent}'")
     make_folder(out)
+    made_by = {
+        "study": arguments.study, "version": version(), **size._asdict(), "filters": names,
+        "parameters": given,
+    }  # fmt: skip
     for path in study.paths:
         _write_settings(out, path, given)
 
@@ -142,10 +146,6 @@ def run(arguments: argparse.Namespace) -> int:
     outcomes = list(with_progress(tried, total, f"study {arguments.study}"))
 
     labels = {name: each.label for name, each in filters.items()}
-    made_by = {
-        "study": arguments.study, "version": version(), **size._asdict(), "filters": names,
-        "parameters": given,
-    }  # fmt: skip
     content = {**made_by, "results": study_tables.rows(outcomes)}
     write_text(numbers, json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_text(out / "results.md", study_tables.head(made_by) + study.tables(outcomes, labels))

@@ -123,11 +123,11 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     make_folder(out)
 
-    results = [_result(recording, names) for recording in recordings]
     made_by = {
         "study": NAME, "version": version(), "filters": names[1:],
         "parameters": dict(parse_assignment(text) for text in arguments.assignments),
     }  # fmt: skip
+    results = [_result(recording, names) for recording in recordings]
     content = {**made_by, "bags": [rows(result) for result in results]}
     write_text(numbers, json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_text(out / "results.md", real_tables(made_by, results))

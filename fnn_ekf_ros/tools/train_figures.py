@@ -8,7 +8,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.fuzzy import FuzzySets, gaussian, infer, sigmoid
+from fnn_ekf_ros.core.fuzzy import FuzzySets, Inference, gaussian, infer, sigmoid
 from fnn_ekf_ros.membership.files import EXPLAINED, MISMATCH
 from fnn_ekf_ros.tools.study_figures import new_figure, require_matplotlib, save
 from fnn_ekf_ros.training.five_layers import UNITS_PER_SCALE
@@ -156,25 +156,12 @@ def draw_change(path: Path, pairs: TrainingSet, start: FuzzyNetwork, after: Fuzz
     limit = 0.6 * STEP_SHARE * FARTHEST * UNITS_PER_SCALE
     top.set_yscale("asinh", linear_width=STEP_SHARE * UNITS_PER_SCALE)
     top.set(ylim=(-3.0 * limit, limit), ylabel=r"$\Delta R$   [unit]")
-    top.set_title("What the network answers", fontsize="medium", loc="left")
-    top.legend(loc="upper left", fontsize="small")
-    for k, (rule, colour) in enumerate(zip(_RULES, _COLOURS, strict=True)):
-        bottom.plot(-D, learned.normalized_firing[:, k], color=colour, lw=1.8, label=rule)
-    bottom.set_xscale("asinh", linear_width=UNITS_PER_SCALE)
-    bottom.set(
-        ylabel=r"weight $\beta$ of the rule",
-        xlabel=r"$-D = \hat{C} - S$   [unit]; where the noise is right, D scatters by "
-        f"{UNITS_PER_SCALE:g}",
-        ylim=(-0.03, 1.03),
+    meaning = (
+        r"$-D = \hat{C} - S$   [unit]; where the noise is right, D scatters by "
+        f"{UNITS_PER_SCALE:g}"
     )
-    bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")
-    bottom.legend(loc="center left", fontsize="small")
-    ticks: Any = [-300, -100, -30, -10, 0, 10, 30, 100, 300]
-    bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    top.set_yticks(ticks[1:-1], [f"{tick:g}" for tick in ticks[1:-1]])
-    for ax in (top, bottom):
-        ax.grid(visible=True, alpha=0.25)
-        ax.minorticks_off()
+    ticks = (-300, -100, -30, -10, 0, 10, 30, 100, 300)
+    _finish_change(top, bottom, -D, learned, meaning, UNITS_PER_SCALE, ticks)
     save(figure, path)
 
 
@@ -203,25 +190,35 @@ def draw_joint_change(
     top.scatter(pairs.asked, pairs.wanted_change, s=22, color=RED, zorder=3, label="training set")
     top.set_yscale("asinh", linear_width=fine)
     top.set(ylim=(-1.2, 1.2), ylabel=r"$\Delta\theta$   [log variance]")
+    meaning = "u, what the evidence asks for   [log variance]"
+    ticks = (-3, -1, -0.3, -0.1, 0, 0.1, 0.3, 1, 3)
+    _finish_change(top, bottom, u, learned, meaning, fine, ticks)
+    save(figure, path)
+
+
+def _finish_change(
+    top: Any,
+    bottom: Any,
+    x: FloatArray,
+    learned: Inference,
+    meaning: str,
+    linear_width: float,
+    ticks: Sequence[float],
+) -> None:
+    """Draw the rules' weights below the answers, and give both panels the same axes."""
     top.set_title("What the network answers", fontsize="medium", loc="left")
     top.legend(loc="upper left", fontsize="small")
     for k, (rule, colour) in enumerate(zip(_RULES, _COLOURS, strict=True)):
-        bottom.plot(u, learned.normalized_firing[:, k], color=colour, lw=1.8, label=rule)
-    bottom.set_xscale("asinh", linear_width=fine)
-    bottom.set(
-        ylabel=r"weight $\beta$ of the rule",
-        xlabel="u, what the evidence asks for   [log variance]",
-        ylim=(-0.03, 1.03),
-    )
+        bottom.plot(x, learned.normalized_firing[:, k], color=colour, lw=1.8, label=rule)
+    bottom.set_xscale("asinh", linear_width=linear_width)
+    bottom.set(ylabel=r"weight $\beta$ of the rule", xlabel=meaning, ylim=(-0.03, 1.03))
     bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")
     bottom.legend(loc="center left", fontsize="small")
-    ticks: Any = [-3, -1, -0.3, -0.1, 0, 0.1, 0.3, 1, 3]
     bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     top.set_yticks(ticks[1:-1], [f"{tick:g}" for tick in ticks[1:-1]])
     for ax in (top, bottom):
         ax.grid(visible=True, alpha=0.25)
         ax.minorticks_off()
-    save(figure, path)
 
 
 def draw_loss(path: Path, losses: Sequence[float]) -> None:
