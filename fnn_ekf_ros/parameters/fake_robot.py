@@ -12,7 +12,7 @@ from fnn_ekf_ros.parameters.paper import (
     WHEEL_SEPARATION,
     YAW_STD,
 )
-from fnn_ekf_ros.parameters.schema import Parameters, parameter
+from fnn_ekf_ros.parameters.schema import NO_FILE, Parameters, parameter
 
 NODE_NAME = "fake_robot"
 
@@ -102,6 +102,11 @@ class FakeRobotParameters(Parameters):
         "",
         at_least=0,
         at_most=2**31 - 1,
+    )
+
+    # Faults
+    faults_file: str = parameter(
+        NO_FILE, "Timeline of faults (YAML; docs/faults.md lists them); none: nothing goes wrong."
     )
 
     # Time

@@ -8,11 +8,15 @@ from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.limits import LARGEST_POSITION, LARGEST_STD, SMALLEST_STD
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD, YAW_STD
-from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, parameter, refusal
+from fnn_ekf_ros.parameters.schema import NO_FILE, ParameterError, Parameters, parameter, refusal
 
 NODE_NAME = "localizer"
 MOST_PERIODS_KEPT = 500
 """So many states are kept at the most, to go back to; running them again takes half a second."""
+GATE = 1e-6
+"""One right measurement in a million is rejected: about five standard deviations."""
+NO_FRAME = "none"
+"""The word for a frame that is not there."""
 NOT_SET = (math.nan, math.nan, math.nan)
 
 
@@ -65,6 +69,14 @@ class LocalizerParameters(Parameters):
     right_inverted: bool = parameter(False, "Right counts fall when the robot drives forward.")
     left_joint: str = parameter("left_wheel_joint", "Name of the left wheel in joint_states.")
     right_joint: str = parameter("right_wheel_joint", "Name of the right wheel in joint_states.")
+    max_wheel_speed: float = parameter(
+        5.0,
+        "Fastest a wheel's rim ever moves; counts that jump further are a reset or a glitch, and "
+        "no motion.",
+        "m/s",
+        at_least=1e-3,
+        at_most=1e3,
+    )
 
     # Time
     period: float = parameter(
@@ -84,6 +96,13 @@ class LocalizerParameters(Parameters):
     history: float = parameter(
         2.0,
         "How far back a late measurement is still fused at the time it was taken.",
+        "s",
+        at_least=0.0,
+        at_most=10.0,
+    )
+    output_delay: float = parameter(
+        0.0,
+        "How long a finished period waits for late measurements before its odom is published.",
         "s",
         at_least=0.0,
         at_most=10.0,
@@ -122,6 +141,22 @@ class LocalizerParameters(Parameters):
         "rad",
         at_least=-2.0 * math.pi,
         at_most=2.0 * math.pi,
+    )
+
+    # Outliers
+    compass_gate: float = parameter(
+        GATE,
+        "Chance that a right compass reading is taken for an outlier; 0: none ever is.",
+        "",
+        at_least=0.0,
+        at_most=0.5,
+    )
+    lrf_pose_gate: float = parameter(
+        GATE,
+        "Chance that a right fix is taken for an outlier; 0: none ever is.",
+        "",
+        at_least=0.0,
+        at_most=0.5,
     )
 
     # Adaptation
@@ -198,6 +233,31 @@ class LocalizerParameters(Parameters):
     # Frames
     frame_id: str = parameter("map", "Frame of odom and of the fixes.")
     base_frame: str = parameter("base_link", "Frame of the robot: the middle of the axle.")
+    publish_tf: bool = parameter(
+        False, "Publish the pose as a transform, too: frame_id to base_frame, or to odom_frame."
+    )
+    odom_frame: str = parameter(
+        NO_FRAME,
+        "Frame in which someone else publishes base_frame: then frame_id to odom_frame is "
+        "published instead (Nav2's map to odom); none: there is none.",
+    )
+    transform_tolerance: float = parameter(
+        0.5,
+        "How far ahead the transform to odom_frame is stamped: it holds until the next one.",
+        "s",
+        at_least=0.0,
+        at_most=10.0,
+    )
+
+    # Saved state
+    state_file: str = parameter(
+        NO_FILE,
+        "File in which the node keeps the adapted noise and the pose, once a minute and at the "
+        "end; none: nowhere.",
+    )
+    warm_start: bool = parameter(
+        False, "Start with the noise and the pose in state_file, if they can be read."
+    )
 
     def check(self) -> None:
         """Check that ticks have a size and that the noise starts within its bounds.
@@ -215,6 +275,8 @@ class LocalizerParameters(Parameters):
                 "parameter 'encoder_counts_per_revolution' is not set: expected a number greater "
                 "than 0 [counts]; set it to the counts per turn of the encoder"
             )
+        if self.warm_start and self.state_file == NO_FILE:
+            raise refusal("warm_start", True, "a state_file to start from")
         self._check_bounds("process_noise_std", self.process_noise_std)
         self._check_bounds("measurement_noise_std", self.measurement_noise_std)
         low, high = self.measurement_noise_std_min[2], self.measurement_noise_std_max[2]

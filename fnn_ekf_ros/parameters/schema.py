@@ -16,6 +16,9 @@ from fnn_ekf_ros.errors import FnnEkfError
 ALWAYS_ALLOWED = ("use_sim_time", "start_type_description_service")
 """Parameters every ROS node has; `qos_overrides.*` is allowed as well."""
 
+NO_FILE = "none"
+"""The word for a file that is not there."""
+
 ParameterValue = bool | int | float | str | tuple[float, ...]
 ParametersT = TypeVar("ParametersT", bound="Parameters")
 
