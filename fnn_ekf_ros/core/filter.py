@@ -17,6 +17,7 @@ from fnn_ekf_ros.core.joint import (
     JointState,
     adapt_jointly,
     at_pose,
+    calm_noise,
     noise_in_use,
     start_joint,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "FilterState",
     "StepInput",
     "StepResult",
+    "for_mode",
     "reset_pose",
     "start_filter",
     "step",
@@ -156,6 +158,27 @@ def reset_pose(state: FilterState, mean: FloatArray, covariance: FloatArray) -> 
         covariance=covariance,
         window=empty_window(length, mean.shape[:-1]),
         joint=None if state.joint is None else at_pose(state.joint, mean, covariance),
+    )
+
+
+def for_mode(model: FilterModel, state: FilterState) -> FilterState:
+    """Return the state as the model's mode of adaptation needs it; itself where it does already.
+
+    The noise stays when the mode changes: what an alarm of mode joint adds for a moment does not.
+    Into mode joint that noise is its start, with nothing learned yet.
+    """
+    joint = model.adaptation.mode is AdaptationMode.JOINT
+    if joint == (state.joint is not None):
+        return state
+    if state.joint is None:
+        Q, R = state.process_noise, state.measurement_noise
+        return state._replace(joint=start_joint(state.mean, state.covariance, Q, R))
+    bounds = model.adaptation.bounds
+    Q, R = calm_noise(state.joint)
+    return state._replace(
+        process_noise=np.clip(Q, bounds.process_min, bounds.process_max),
+        measurement_noise=np.clip(R, bounds.measurement_min, bounds.measurement_max),
+        joint=None,
     )
 
 

@@ -164,6 +164,7 @@ class LocalizerParameters(Parameters):
         "joint",
         "What the fuzzy neural network adapts: joint (both), r (measurement), q (process) or none.",
         choices=tuple(AdaptationMode),
+        at_run_time=True,
     )
     innovation_window: int = parameter(
         45,
@@ -190,6 +191,7 @@ class LocalizerParameters(Parameters):
         "[m, rad]",
         at_least=SMALLEST_STD,
         at_most=LARGEST_STD,
+        at_run_time=True,
     )
     process_noise_std_max: tuple[float, float] = parameter(
         (10.0, 3.0),
@@ -197,6 +199,7 @@ class LocalizerParameters(Parameters):
         "[m, rad]",
         at_least=SMALLEST_STD,
         at_most=LARGEST_STD,
+        at_run_time=True,
     )
     measurement_noise_std_min: tuple[float, float, float] = parameter(
         (1e-3, 1e-3, 1e-3),
@@ -204,6 +207,7 @@ class LocalizerParameters(Parameters):
         "[m, m, rad]",
         at_least=SMALLEST_STD,
         at_most=LARGEST_STD,
+        at_run_time=True,
     )
     measurement_noise_std_max: tuple[float, float, float] = parameter(
         (1e3, 1e3, 3.0),
@@ -211,6 +215,7 @@ class LocalizerParameters(Parameters):
         "[m, m, rad]",
         at_least=SMALLEST_STD,
         at_most=LARGEST_STD,
+        at_run_time=True,
     )
 
     # Start

@@ -39,6 +39,7 @@ class Spec:
         choices: the words a string may be; empty for any.
         required: the default stands for "not set" and is no valid value.
         may_be_nan: NaN stands for "not set" and is valid.
+        at_run_time: it may be changed while the node runs.
     """
 
     doc: str
@@ -48,6 +49,7 @@ class Spec:
     choices: tuple[str, ...] = ()
     required: bool = False
     may_be_nan: bool = False
+    at_run_time: bool = False
 
     @property
     def limits(self) -> str:

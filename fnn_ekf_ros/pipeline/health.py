@@ -50,6 +50,10 @@ class Health:
         self._dropped = self._redone = self._restarts = 0
         self._new_time_trouble = ""
 
+    def changed(self, parameters: LocalizerParameters) -> None:
+        """Go on with other parameters."""
+        self._parameters = parameters
+
     def saw(self, event: Event) -> None:
         """Count an event that was taken in."""
         sensor = _sensor_of(event)

@@ -15,7 +15,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, FilterModel, FilterState
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, FilterModel, FilterState, for_mode
 from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
@@ -132,6 +132,19 @@ class Pipeline:
             self._model, adaptation=dataclasses.replace(self._model.adaptation, learning=enabled)
         )
 
+    def change(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
+        """Go on with other parameters, from the period that is open; noise and pose stay.
+
+        Args:
+            parameters: may differ in those that can change at run time, and in no others.
+            network: the membership functions that they ask for.
+        """
+        learning = self._model.adaptation.learning
+        self.parameters = parameters
+        self._model = filter_model(parameters, network)
+        self.enable_adaptation(learning)
+        self._health.changed(parameters)
+
     def _mode(self) -> AdaptationMode:
         adaptation = self._model.adaptation
         return adaptation.mode if adaptation.learning else AdaptationMode.NONE
@@ -227,7 +240,10 @@ class Pipeline:
     ) -> tuple[_Checkpoint, Estimate | None]:
         counts = before.counts or self._inputs.counts_at(before.stamp_ns)
         inputs = self._inputs.period(before.stamp_ns, end_ns, counts)
-        state, result = run_period(model, before.state, inputs)
+        state = before.state
+        if isinstance(state, FilterState):
+            state = for_mode(model, state)
+        state, result = run_period(model, state, inputs)
         if self._on_period is not None:
             self._on_period(Period(end_ns, inputs, before.state, state))
         checkpoint = _Checkpoint(end_ns, state, inputs.counts, model)

@@ -15,6 +15,7 @@ from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
+from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.runtime import (
     LOG_INTERVAL_S,
     as_overrides,
@@ -42,13 +43,16 @@ class LocalizerNode(Node):  # type: ignore[misc]
     Args:
         parameters: checked.
         network: the membership functions.
+
+    Attributes:
+        pipeline: the localizer proper.
     """
 
     def __init__(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
         super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
         declare(self, LocalizerParameters)
         self._settings = parameters
-        self._pipeline = Pipeline(parameters, network)
+        self.pipeline = Pipeline(parameters, network)
         self._levels: dict[str, Level] = {}
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
@@ -70,6 +74,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 INPUT_QOS,
                 qos_overriding_options=overridable,
             )
+        Changes(self, parameters, network_for, self._change)
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
         self.create_timer(parameters.period / TIMER_DIVISOR, self._look_at_clock)
@@ -91,17 +96,17 @@ class LocalizerNode(Node):  # type: ignore[misc]
             return
         events = messages.read_input(topic, message, now_ns, self._settings)
         if isinstance(events, Rejected):
-            self._pipeline.reject(events)
+            self.pipeline.reject(events)
             self._log_refusal(topic, events)
             events = []
         for event in events:
-            self._publish(self._pipeline.add(event, now_ns))
-        self._publish(self._pipeline.advance(now_ns))
+            self._publish(self.pipeline.add(event, now_ns))
+        self._publish(self.pipeline.advance(now_ns))
 
     def _look_at_clock(self) -> None:
         now_ns = self._now_ns()
         if now_ns > 0:
-            self._publish(self._pipeline.advance(now_ns))
+            self._publish(self.pipeline.advance(now_ns))
 
     def _publish(self, outputs: Sequence[Output]) -> None:
         for output in outputs:
@@ -141,8 +146,12 @@ class LocalizerNode(Node):  # type: ignore[misc]
                     self.get_logger().warning(text)
             self._levels[status.name] = status.level
 
+    def _change(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
+        self._settings = parameters
+        self.pipeline.change(parameters, network)
+
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._pipeline.reset()
+        self.pipeline.reset()
         response.success = True
         response.message = "pose and adapted noise are forgotten; waiting for the start"
         self.get_logger().info(response.message)
@@ -152,14 +161,17 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         mode = self._settings.adaptation
-        self._pipeline.enable_adaptation(request.data)
+        self.pipeline.enable_adaptation(request.data)
         response.success = not (request.data and mode == "none")
         if not request.data:
             response.message = "the noise is held where it is"
         elif response.success:
             response.message = f"adaptation {mode} is on"
         else:
-            response.message = "adaptation is 'none': start with r or q to have one to enable"
+            response.message = (
+                f"adaptation is 'none': `ros2 param set {self.get_fully_qualified_name()} "
+                "adaptation joint` (or r, q) first"
+            )
         self.get_logger().info(response.message)
         return response
 

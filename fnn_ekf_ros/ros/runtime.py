@@ -88,12 +88,7 @@ def parameters_from_ros(node_name: str) -> dict[str, Any]:
         raise ParameterError(f"a parameter has no value: {_first_line(error)}") from None
     try:
         found = probe.get_parameters_by_prefix("")
-        return {
-            name: tuple(value)
-            if hasattr(value, "__len__") and not isinstance(value, str)
-            else value
-            for name, value in ((name, entry.value) for name, entry in found.items())
-        }
+        return {name: plain(entry.value) for name, entry in found.items()}
     finally:
         probe.destroy_node()
 
@@ -107,9 +102,12 @@ def as_overrides(parameters: Parameters) -> list[Parameter]:
 
 
 def declare(node: Node, kind: type[Parameters]) -> None:
-    """Declare a set's parameters with their descriptions and ranges; read-only."""
+    """Declare a set's parameters with their descriptions and ranges.
+
+    They are read-only but for those that can change at run time (`changes`).
+    """
     for name, spec, default in fields_of(kind):
-        descriptor = ParameterDescriptor(description=spec.doc, read_only=True)
+        descriptor = ParameterDescriptor(description=spec.doc, read_only=not spec.at_run_time)
         unit = f"unit {spec.unit}" if spec.unit else ""
         choices = f"one of {', '.join(spec.choices)}" if spec.choices else ""
         limits = spec.limits if isinstance(default, tuple) else ""
@@ -152,6 +150,11 @@ def spin_until_stopped(make_node: Callable[[], Node]) -> int:
         executor.shutdown()
         node.destroy_node()
     return 0
+
+
+def plain(value: Any) -> Any:
+    """Return the value of a ROS parameter as parameter sets have it: lists as tuples."""
+    return tuple(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
 
 
 def _ros_value(value: Any) -> Any:

@@ -11,10 +11,12 @@ from fnn_ekf_ros.core.filter import (
     NOMINAL_PERIOD_S,
     FilterModel,
     StepInput,
+    for_mode,
     reset_pose,
     start_filter,
     step,
 )
+from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.core.motion import MotionModel, displacement, move
 
 Covariances = Callable[[np.random.Generator, int, int], FloatArray]
@@ -410,3 +412,47 @@ def test_reported_covariance_moves_by_the_network_output(
     )
     effective = 10.0 * own * reported.measurement_noise / own
     np.testing.assert_allclose(effective, own_ten.measurement_noise, rtol=1e-9)
+
+
+@pytest.mark.parametrize("before", ["none", "r", "q", "joint"])
+@pytest.mark.parametrize("after", ["none", "r", "q", "joint"])
+def test_a_change_of_mode_keeps_the_pose_and_the_noise_without_an_alarms_share(
+    make_model: Callable[..., FilterModel],
+    make_adaptation: Callable[..., Adaptation],
+    before: str,
+    after: str,
+) -> None:
+    old, new = (
+        make_model(adaptation=make_adaptation(mode=mode, window_length=6))
+        for mode in (before, after)
+    )
+    state = start_filter(old, START, START_COVARIANCE)
+    periods = random_periods(np.random.default_rng(61), 25)
+    for period in periods[:20]:
+        state, _ = step(old, state, period)
+    if state.joint is not None:  # slip leads: the noise in use is not the calm one
+        state = state._replace(joint=state.joint._replace(lead=np.array([0.0, 12.0])))
+    changed = for_mode(new, state)
+    assert bytes_of(changed._replace(joint=None), changed.window) == bytes_of(
+        state._replace(
+            joint=None,
+            process_noise=changed.process_noise,
+            measurement_noise=changed.measurement_noise,
+        ),
+        state.window,
+    )
+    if (before == "joint") == (after == "joint"):
+        assert changed is state
+    elif before == "joint":
+        assert state.joint is not None
+        Q, R = calm_noise(state.joint)
+        np.testing.assert_array_equal(changed.process_noise, Q)
+        np.testing.assert_array_equal(changed.measurement_noise, R)
+    else:
+        assert changed.joint is not None
+        np.testing.assert_array_equal(changed.joint.process_noise, state.process_noise)
+        np.testing.assert_array_equal(changed.joint.measurement_noise, state.measurement_noise)
+        np.testing.assert_array_equal(changed.joint.log_scale, 0.0)
+    for period in periods[20:]:
+        changed, _ = step(new, changed, period)
+    assert (changed.joint is not None) == (after == "joint")

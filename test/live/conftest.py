@@ -10,9 +10,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.ros.localizer import LocalizerNode
+from fnn_ekf_ros.ros.runtime import parameters_from_ros
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0
+PAPERS_ROBOT = [
+    "-p", "wheel_radius:=0.025", "-p", "wheel_separation:=0.6",
+    "-p", "encoder_counts_per_revolution:=500.0",
+]  # fmt: skip
 HEARS_SIGINT = ["env", "--default-signal=INT"]
 """A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
@@ -90,6 +104,48 @@ class Processes:
                 process.wait()
 
 
+class Bench:
+    """A localizer in this process and a node beside it, with a /clock that the test sets."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        rclpy.init(args=["", "--ros-args", "-p", "use_sim_time:=true", *arguments])
+        parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
+        self.node = Node("bench")
+        self.localizer = LocalizerNode(parameters, network_for(parameters))
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.localizer)
+        self.executor.add_node(self.node)
+        self._clock = self.node.create_publisher(Clock, "/clock", 10)
+        self.now_ns = 0
+
+    def set_clock(self, now_ns: int) -> None:
+        """Set ROS time and wait until the localizer knows it."""
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
+        wait_until(self._clock.get_subscription_count, "the clock's subscriber")
+        self._clock.publish(message)
+        clock = self.localizer.get_clock()
+        self.spin_until(lambda: clock.now().nanoseconds == now_ns, f"ROS time {now_ns}")
+        self.now_ns = now_ns
+
+    def spin_until(self, condition: Callable[[], Any], what: str) -> None:
+        wait_until(lambda: condition() or self.executor.spin_once(timeout_sec=0.02), what)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(kind, name)
+        self.spin_until(client.service_is_ready, f"service {name}")
+        future = client.call_async(request)
+        self.spin_until(future.done, f"answer of {name}")
+        return future.result()
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.localizer.destroy_node()
+        self.node.destroy_node()
+        rclpy.shutdown()
+
+
 def wait_until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> None:
     """Call a condition, which should spin, until it holds."""
     deadline = time.monotonic() + patience_s
@@ -120,6 +176,20 @@ def ros_environment(monkeypatch: pytest.MonkeyPatch, processes: Processes) -> No
     """The same domain for nodes in this process."""
     for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
         monkeypatch.setenv(name, processes.environment[name])
+
+
+@pytest.fixture
+def bench(ros_environment: None) -> Iterator[Callable[..., Bench]]:
+    """Makes a bench from ROS arguments."""
+    opened: list[Bench] = []
+
+    def make(*arguments: str) -> Bench:
+        opened.append(Bench([*PAPERS_ROBOT, *arguments]))
+        return opened[-1]
+
+    yield make
+    for each in opened:
+        each.close()
 
 
 @pytest.fixture
