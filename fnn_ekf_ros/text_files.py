@@ -1,6 +1,7 @@
 """Small text files: read with one clear error, written whole or not at all."""
 
 import os
+import re
 from pathlib import Path
 
 from fnn_ekf_ros.errors import FnnEkfError
@@ -28,7 +29,7 @@ def read_text(path: Path, what: str, kind: type[FnnEkfError]) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file so that it is there completely or not at all.
+    """Write a file so that it is there completely or not at all, whatever ends the process.
 
     Raises:
         FnnEkfError: the file cannot be written.
@@ -37,9 +38,28 @@ def write_text(path: Path, text: str) -> None:
         raise FnnEkfError(f"'{path}' is no file: expected the name of a file to write")
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        partial.write_text(text, encoding="utf-8")
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
         raise FnnEkfError(f"'{path}' cannot be written: {error.strerror}") from None
     finally:
         partial.unlink(missing_ok=True)
+
+
+def remove_partials(path: Path) -> int:
+    """Remove what writers that were killed have left of a file; return how many there were.
+
+    Raises:
+        FnnEkfError: one cannot be removed.
+    """
+    name = re.compile(rf"\.{re.escape(path.name)}\.[0-9]+")
+    try:
+        found = [entry for entry in path.absolute().parent.iterdir() if name.fullmatch(entry.name)]
+        for partial in found:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise FnnEkfError(f"remains of '{path}': {error.strerror}") from None
+    return len(found)

@@ -23,6 +23,7 @@ from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, PoseReset, Reje
 from fnn_ekf_ros.pipeline.health import Health
 from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer
 from fnn_ekf_ros.pipeline.period import Period, run_period, start_at
+from fnn_ekf_ros.pipeline.saved import SavedState
 from fnn_ekf_ros.pipeline.start import Waiting
 
 LONGEST_SILENCE_PERIODS = 1600
@@ -54,6 +55,8 @@ class Pipeline:
         parameters: the localizer's parameters.
         network: the membership functions that the adaptation uses.
         on_period: is told of every period that is run, again when late inputs have it run again.
+        warm_start: what to start from instead of the parameters' noise and initial pose. The robot
+            may have been moved since: `initial_pose_std` is added to the pose's uncertainty.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Pipeline:
         parameters: LocalizerParameters,
         network: FuzzyNetwork,
         on_period: Callable[[Period], None] | None = None,
+        warm_start: SavedState | None = None,
     ) -> None:
         self.parameters = parameters
         self._on_period = on_period
@@ -74,6 +78,9 @@ class Pipeline:
         self._changed_ns = _NEVER_NS
         self._now_ns = -_NEVER_NS
         self.reset()
+        self._warm_start = warm_start
+        if warm_start is not None:
+            self._start_noise = warm_start.process_noise, warm_start.measurement_noise
 
     def add(self, event: Event, now_ns: int) -> list[Output]:
         """Take an event in; return the periods closed by it and by the time that has passed.
@@ -117,8 +124,24 @@ class Pipeline:
         now_ns = self._checkpoints[-1].stamp_ns if self._checkpoints else 0
         return self._health.report(now_ns, self._state(), None, self._mode())
 
+    def saved(self) -> SavedState | None:
+        """Return what is worth keeping for the next start; None while the filter has none."""
+        last = self._checkpoints[-1] if self._checkpoints else None
+        if last is None or isinstance(last.state, Waiting):
+            return None
+        bounds = self._model.adaptation.bounds
+        Q, R = self._noise()
+        return SavedState(
+            last.stamp_ns,
+            last.state.mean,
+            last.state.covariance,
+            np.clip(Q, bounds.process_min, bounds.process_max),
+            np.clip(R, bounds.measurement_min, bounds.measurement_max),
+        )
+
     def reset(self) -> None:
-        """Forget the pose and all that was adapted, as at start-up."""
+        """Forget the pose and all that was adapted, a warm start's too."""
+        self._warm_start = None
         self._checkpoints.clear()
         self._start_noise = (
             np.asarray(self._model.process_noise),
@@ -184,10 +207,14 @@ class Pipeline:
         waiting = Waiting(*self._start_noise)
         state: FilterState | Waiting = waiting
         begin_ns = now_ns
-        if np.isnan(self.parameters.initial_pose[0]):
+        covariance = np.diag(np.square(self.parameters.initial_pose_std))
+        if self._warm_start is not None:  # once: after a jump of the clock it is too old
+            pose, known = self._warm_start.pose, self._warm_start.covariance
+            state = start_at(self._model, waiting, pose, covariance + known)
+            self._warm_start = None
+        elif np.isnan(self.parameters.initial_pose[0]):
             begin_ns -= self._history_ns
         else:
-            covariance = np.diag(np.square(self.parameters.initial_pose_std))
             pose = np.array(self.parameters.initial_pose)
             state = start_at(self._model, waiting, pose, covariance)
         begin_ns = (begin_ns - 1) // self._period_ns * self._period_ns

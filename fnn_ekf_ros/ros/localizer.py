@@ -16,6 +16,7 @@ from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
+from fnn_ekf_ros.ros.memory import Memory
 from fnn_ekf_ros.ros.runtime import (
     LOG_INTERVAL_S,
     as_overrides,
@@ -52,7 +53,8 @@ class LocalizerNode(Node):  # type: ignore[misc]
         super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
         declare(self, LocalizerParameters)
         self._settings = parameters
-        self.pipeline = Pipeline(parameters, network)
+        self._memory = Memory(self, parameters)
+        self.pipeline = Pipeline(parameters, network, warm_start=self._memory.warm_start)
         self._levels: dict[str, Level] = {}
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
@@ -78,10 +80,16 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
         self.create_timer(parameters.period / TIMER_DIVISOR, self._look_at_clock)
+        self._memory.write_regularly(self.pipeline.saved)
         self.get_logger().info(
             f"adaptation {parameters.adaptation}, odom every {parameters.period:g} s in "
             f"{parameters.frame_id}"
         )
+
+    def destroy_node(self) -> None:
+        """Keep the state and leave ROS."""
+        self._memory.write(self.pipeline.saved())
+        super().destroy_node()
 
     def _now_ns(self) -> int:
         """Return ROS time [ns]; 0 while simulated time has not begun."""

@@ -130,6 +130,8 @@ def spin_until_stopped(make_node: Callable[[], Node]) -> int:
     """
     try:
         node = make_node()
+    except FnnEkfError:
+        raise
     except Exception as error:  # what rclpy makes of a wrong qos_overrides, for one
         raise FnnEkfError(f"the node cannot start: {_first_line(error)}") from None
     executor = SingleThreadedExecutor()

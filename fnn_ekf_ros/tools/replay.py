@@ -14,6 +14,8 @@ from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
+from fnn_ekf_ros.pipeline.saved import SavedState
+from fnn_ekf_ros.saved_state import SavedStateError, read_state
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.bag_inputs import (
     TopicNames,
@@ -55,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         with BagWriter(arguments.out, arguments.storage, notes) as out:
             copied = _announce(out, [t for t in bag.topics.values() if t.name not in replaced])
-            pipeline = Pipeline(parameters, network)
+            pipeline = Pipeline(parameters, network, warm_start=_warm_start(parameters))
             dead_reckoning = _DeadReckoning() if arguments.dead_reckoning else None
             estimates = 0
             for record in with_progress(bag.records(), bag.message_count, "replay"):
@@ -79,6 +81,17 @@ def run(arguments: argparse.Namespace) -> int:
         f"({duration / took:.0f} times real time)"
     )
     return 0
+
+
+def _warm_start(parameters: LocalizerParameters) -> SavedState | None:
+    """Return the state that the parameters ask to start from, if it can be read."""
+    if not parameters.warm_start:
+        return None
+    try:
+        return read_state(Path(parameters.state_file), parameters)[0]
+    except SavedStateError as error:
+        print(f"replay: {error}; starting without it", file=sys.stderr)
+        return None
 
 
 class _DeadReckoning:

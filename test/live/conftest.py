@@ -140,6 +140,8 @@ class Bench:
         return future.result()
 
     def close(self) -> None:
+        if not rclpy.ok():
+            return
         self.executor.shutdown()
         self.localizer.destroy_node()
         self.node.destroy_node()

@@ -35,14 +35,15 @@ MAY_IMPORT: dict[str, set[str]] = {
     "simulation": {"core", "messages", "parameters"},
     "study": {"core", "membership", "parameters", "pipeline", "simulation"},
     "training": {"core", "membership", "parameters", "pipeline", "simulation", "study"},
+    "saved_state": {"core", "errors", "parameters", "pipeline", "text_files", "yaml_text"},
     "bag_files": {"errors", "messages"},
     "tools": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
-        "simulation", "study", "text_files", "training", "yaml_text",
+        "saved_state", "simulation", "study", "text_files", "training", "yaml_text",
     },
     "ros": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
-        "simulation", "stopping", "text_files", "tools", "yaml_text",
+        "saved_state", "simulation", "stopping", "text_files", "tools", "yaml_text",
     },
     "cli": {"errors", "stopping"},
     "__main__": {"cli"},
