@@ -31,7 +31,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", ["config/localizer.yaml", "config/fake_robot.yaml"]),
+        (
+            f"share/{NAME}/config",
+            ["config/localizer.yaml", "config/fake_robot.yaml", "config/faults_example.yaml"],
+        ),
     ],
     python_requires=">=3.11",
     # rclpy and the message packages come with ROS, never from here.

@@ -24,19 +24,33 @@ _Loader.add_implicit_resolver(
 )
 
 
-def load_yaml(text: str, what: str, kind: type[FnnEkfError]) -> Any:
+class _UniqueKeysLoader(_Loader):
+    """Refuses a key that stands twice in a mapping, where YAML would keep the last."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                line = node.start_mark.line + 1
+                raise yaml.YAMLError(f"key '{key}' stands twice in the entry of line {line}")
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(text: str, what: str, kind: type[FnnEkfError], *, unique_keys: bool = False) -> Any:
     """Return the content of a YAML text.
 
     Args:
         text: a single document.
         what: what it is, for the error's first words.
         kind: the error to raise.
+        unique_keys: refuse a key that stands twice in a mapping; ROS takes the last.
 
     Raises:
         FnnEkfError: it is not YAML, or no YAML that ROS would read.
     """
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 (a SafeLoader)
+        loader = _UniqueKeysLoader if unique_keys else _Loader
+        return yaml.load(text, loader)  # noqa: S506 (both are SafeLoaders)
     except RecursionError:
         raise kind(f"{what} is nested too deeply") from None
     except Exception as error:  # PyYAML's constructors raise ValueError and others

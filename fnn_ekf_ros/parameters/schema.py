@@ -112,7 +112,7 @@ def build(kind: type[ParametersT], values: Mapping[str, Any]) -> ParametersT:
         if name in ALWAYS_ALLOWED and not isinstance(values[name], bool):
             raise refusal(name, values[name], "true or false")
         if name not in known and not is_always_allowed(name):
-            raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}")
+            raise ParameterError(f"unknown parameter '{name}'{suggestion(name, known)}")
     return kind(**{name: value for name, value in values.items() if name in known})
 
 
@@ -127,7 +127,8 @@ def refusal(name: str, value: object, expected: str) -> ParameterError:
     return ParameterError(f"parameter '{name}' is {shown}: expected {expected}")
 
 
-def _suggestion(name: str, known: list[str]) -> str:
+def suggestion(name: str, known: list[str]) -> str:
+    """Return the end of a refusal: the known name that was meant, or all of them."""
     import difflib
 
     close = difflib.get_close_matches(name, known, n=1)

@@ -8,6 +8,8 @@ from typing import Any
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.parameters.fake_robot import NODE_NAME, FakeRobotParameters
+from fnn_ekf_ros.parameters.fault_files import read_faults
+from fnn_ekf_ros.parameters.faults import Fault
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import (
@@ -17,7 +19,8 @@ from fnn_ekf_ros.ros.runtime import (
     ros_started,
     spin_until_stopped,
 )
-from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, STEP_NS, FakeRobot
+from fnn_ekf_ros.simulation.delivery import STEP_NS
+from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, FakeRobot
 from fnn_ekf_ros.simulation.robot import STEP_S
 
 from rclpy.clock import Clock, ClockType  # isort: skip  (runtime explains it if ROS is not here)
@@ -36,12 +39,13 @@ class FakeRobotNode(Node):  # type: ignore[misc]
 
     Args:
         parameters: checked.
+        faults: what goes wrong, in seconds since the robot's start.
     """
 
-    def __init__(self, parameters: FakeRobotParameters) -> None:
+    def __init__(self, parameters: FakeRobotParameters, faults: Sequence[Fault] = ()) -> None:
         super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
         declare(self, FakeRobotParameters)
-        self._settings = parameters
+        self._settings, self._faults = parameters, faults
         self._robot: FakeRobot | None = None
         self._topics = {
             topic: self.create_publisher(message_class(type_name), topic, OUTPUT_QOS)
@@ -63,6 +67,7 @@ class FakeRobotNode(Node):  # type: ignore[misc]
         self.get_logger().info(
             f"driving {parameters.path}, seed {parameters.seed}"
             + (f", clock x{parameters.real_time_factor:g}" if self._clock_topic else "")
+            + (f", faults of {parameters.faults_file}: {len(faults)}" if faults else "")
         )
 
     def _now_ns(self) -> int:
@@ -76,17 +81,17 @@ class FakeRobotNode(Node):  # type: ignore[misc]
         if now_ns <= 0:
             return  # simulated time has not begun
         if self._robot is None:
-            self._robot = FakeRobot(self._settings, now_ns)
-        if abs(now_ns - self._robot.stamp_ns) > LARGEST_JUMP_NS:
+            self._robot = FakeRobot(self._settings, now_ns, self._faults)
+        if abs(now_ns - self._robot.time_ns) > LARGEST_JUMP_NS:
             self._robot.jump_to(now_ns)  # the clock has been set, not the robot carried
         for _ in range(MOST_STEPS_AT_ONCE):
-            if self._robot.stamp_ns + STEP_NS > now_ns:
+            if self._robot.time_ns + STEP_NS > now_ns:
                 return
             self._step(self._robot)
 
     def _step(self, robot: FakeRobot) -> None:
         if self._command_ns is not None:
-            silent_s = (robot.stamp_ns - self._command_ns) * 1e-9
+            silent_s = (robot.time_ns - self._command_ns) * 1e-9
             if silent_s > self._settings.cmd_vel_timeout:
                 robot.set_command(0.0, 0.0)
         sent = robot.step()
@@ -106,7 +111,7 @@ class FakeRobotNode(Node):  # type: ignore[misc]
             return
         if self._robot is not None:
             self._robot.set_command(linear, angular)
-            self._command_ns = self._robot.stamp_ns
+            self._command_ns = self._robot.time_ns
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,4 +126,5 @@ def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
         parameters = build(FakeRobotParameters, parameters_from_ros(NODE_NAME))
-        return spin_until_stopped(lambda: FakeRobotNode(parameters))
+        faults = read_faults(parameters.faults_file).faults
+        return spin_until_stopped(lambda: FakeRobotNode(parameters, faults))

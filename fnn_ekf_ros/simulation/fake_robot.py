@@ -1,8 +1,7 @@
 """The fake robot: the simulated drive with its sensors, as the messages they would send."""
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,16 +9,18 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.faults import WHEELS, Fault
+from fnn_ekf_ros.simulation.delivery import STEP_NS, Delivery, Sent
+from fnn_ekf_ros.simulation.faults import Encoder, Timeline
 from fnn_ekf_ros.simulation.paths import scripted_path
 from fnn_ekf_ros.simulation.robot import (
-    STEP_S,
     advance,
     at_rest,
     encoder_counts,
     follow,
 )
+from fnn_ekf_ros.simulation.spoiling import LATEST_STAMP_NS
 
-STEP_NS = round(STEP_S * 1e9)
 # Each sensor's interval and phase in steps. Fixes and compass are due at the filter's period
 # boundaries; the encoders, which close a period, a step later, as from a robot that samples its
 # slow sensors first.
@@ -37,56 +38,82 @@ OUTPUT_TYPES = {
 """Topics of the fake robot."""
 
 
-class Sent(NamedTuple):
-    """A message the robot sends."""
-
-    topic: str
-    message: Message
-
-
 class FakeRobot:
     """A robot that moves a step at a time and says what it senses.
 
     Args:
         parameters: the robot; with its seed they determine all that is sent (but for `cmd_vel`).
         start_ns: ROS time of the start, rounded up to a multiple of `STEP_NS` [ns].
+        faults: what goes wrong. They draw from streams of their own: all that they do not touch
+            is sent as without them. The parameter `faults_file` is not read here.
     """
 
-    def __init__(self, parameters: FakeRobotParameters, start_ns: int) -> None:
+    def __init__(
+        self, parameters: FakeRobotParameters, start_ns: int, faults: Sequence[Fault] = ()
+    ) -> None:
         self.parameters = parameters
         self._step = -(-start_ns // STEP_NS)
         # Streams of their own: the slip is the same whatever the sensors draw.
-        drive_seed, sensor_seed = np.random.SeedSequence(parameters.seed).spawn(2)
+        drive_seed, sensor_seed, fault_seed = np.random.SeedSequence(parameters.seed).spawn(3)
         self._drive_rng = np.random.default_rng(drive_seed)
         self._sensor_rng = np.random.default_rng(sensor_seed)
         driven = parameters.path != "cmd_vel"
         self._path = scripted_path(parameters.path) if driven else None
         self._robot = at_rest(np.zeros(3) if self._path is None else self._path.start())
         self._command = np.zeros(2)
+        self._steps_driven, self._clock_error_ns = 0, 0
+        self._timeline = Timeline(faults)
+        rngs = [np.random.default_rng(seed) for seed in fault_seed.spawn(len(faults))]
+        self._delivery = Delivery(faults, rngs)
+        counts = (parameters.left_start_count, parameters.right_start_count)
+        self._encoders = [
+            Encoder(wheel, count, self._timeline)
+            for wheel, count in zip(WHEELS, counts, strict=True)
+        ]
+
+    @property
+    def time_ns(self) -> int:
+        """ROS time of the robot's state, for whoever's clock is right [ns]."""
+        return self._step * STEP_NS
 
     @property
     def stamp_ns(self) -> int:
-        """ROS time of the robot's state [ns]."""
-        return self._step * STEP_NS
+        """ROS time by the robot's own clock, the stamp of all it sends [ns].
 
-    def jump_to(self, stamp_ns: int) -> None:
-        """Set the robot's clock without moving the robot [ns]."""
-        self._step = -(-stamp_ns // STEP_NS)
+        The same as `time_ns` but for a fault `clock_jump`.
+        """
+        return self.time_ns + self._clock_error_ns
+
+    def jump_to(self, time_ns: int) -> None:
+        """Set the time without moving the robot [ns]."""
+        self._step = -(-time_ns // STEP_NS)
 
     def set_command(self, linear_x: float, angular_z: float) -> None:
         """Set what is driven from now on if the path is `cmd_vel` (m/s, rad/s)."""
         self._command = np.array([linear_x, angular_z])
 
     def step(self) -> list[Sent]:
-        """Move on by one step and return what is sent at its end."""
+        """Move on by one step and return what is sent at its end, in order."""
+        self._steps_driven += 1
+        now, timeline = self._steps_driven, self._timeline
         command = self._command
         if self._path is not None:
             self._robot, command = follow(self._path, self._robot, self.parameters.speed)
-        self._robot = advance(self.parameters, self._robot, command, self._drive_rng)
+        driven = advance(
+            self.parameters, self._robot, command, self._drive_rng,
+            timeline.radius_factors(now), timeline.slip_std(now, self.parameters.slip()),
+        )  # fmt: skip
+        self._robot = timeline.carried(now, driven)
         self._step += 1
-        return list(self._due(command))
+        self._set_clock(timeline.clock_jump_ns(now))
+        return self._delivery.sent(now, self._measured(command))
 
-    def _due(self, command: FloatArray) -> Iterator[Sent]:
+    def _set_clock(self, jump_ns: int) -> None:
+        if jump_ns:
+            jumped = min(max(self.stamp_ns + jump_ns, 0), LATEST_STAMP_NS)
+            self._clock_error_ns = jumped - self.time_ns
+
+    def _measured(self, command: FloatArray) -> Iterator[Sent]:
         if self._step % _EVERY_TRUTH == 0:
             yield Sent(messages.GROUND_TRUTH, self._truth(command))
         if self._step % _EVERY_COMPASS == 0:
@@ -94,15 +121,28 @@ class FakeRobot:
         if self._step % _EVERY_LRF == 0:
             yield Sent(messages.LRF_POSE, self._lrf_pose())
         if self._step % _EVERY_ENCODERS == _ENCODERS_PHASE:
-            counts = encoder_counts(self.parameters, self._robot)
-            p = self.parameters
-            for topic, count, start in (
-                (messages.LEFT_TICKS, counts[0], p.left_start_count),
-                (messages.RIGHT_TICKS, counts[1], p.right_start_count),
-            ):
-                data = {"data": _wrapped(start + int(count), p.encoder_bits)}
+            yield from self._wheels()
+
+    def _wheels(self) -> Iterator[Sent]:
+        p = self.parameters
+        readings = [
+            encoder.read(self._steps_driven, int(count))
+            for encoder, count in zip(self._encoders, encoder_counts(p, self._robot), strict=True)
+        ]
+        for topic, reading in zip(
+            (messages.LEFT_TICKS, messages.RIGHT_TICKS), readings, strict=True
+        ):
+            if reading.heard:
+                data = {"data": _wrapped(reading.ticks, p.encoder_bits)}
                 yield Sent(topic, Message(messages.TICKS_TYPE, data))
-            yield Sent(messages.JOINT_STATES, self._joint_states(counts))
+        joints = {
+            joint: reading.turned
+            for joint, reading in zip((p.left_joint, p.right_joint), readings, strict=True)
+            if reading.heard
+        }
+        if joints:
+            counts = np.array(list(joints.values()), dtype=np.float64)
+            yield Sent(messages.JOINT_STATES, self._joint_states(list(joints), counts))
 
     def _truth(self, command: FloatArray) -> Message:
         p = self.parameters
@@ -113,12 +153,14 @@ class FakeRobot:
 
     def _compass(self) -> Message:
         std = self.parameters.compass_std
-        yaw = float(self._robot.pose[2]) + std * self._sensor_rng.standard_normal()
+        noise = std * self._timeline.noise_factor(self._steps_driven, messages.COMPASS)
+        yaw = float(self._robot.pose[2]) + noise * self._sensor_rng.standard_normal()
         return messages.compass_message(self.stamp_ns, self.parameters.base_frame, yaw, std)
 
     def _lrf_pose(self) -> Message:
         std = np.asarray(self.parameters.lrf_std)
-        pose = self._robot.pose + std * self._sensor_rng.standard_normal(3)
+        noise = std * self._timeline.noise_factor(self._steps_driven, messages.LRF_POSE)
+        pose = self._robot.pose + noise * self._sensor_rng.standard_normal(3)
         variances = np.maximum(std**2, messages.UNUSED_VARIANCE)
         return Message(
             messages.POSE_TYPE,
@@ -130,14 +172,14 @@ class FakeRobot:
             },
         )
 
-    def _joint_states(self, counts: FloatArray) -> Message:
+    def _joint_states(self, joints: list[str], counts: FloatArray) -> Message:
         p = self.parameters
         radians = counts * 2.0 * math.pi / (p.gear_ratio * p.encoder_counts_per_revolution)
         return Message(
             messages.JOINT_STATES_TYPE,
             {
                 "header": messages.header(self.stamp_ns, ""),
-                "name": [p.left_joint, p.right_joint],
+                "name": joints,
                 "position": radians,
                 "velocity": np.zeros(0),
                 "effort": np.zeros(0),

@@ -22,6 +22,8 @@ LOOKAHEAD = 0.3
 """Distance at which the driver looks ahead along the path [m]."""
 LARGEST_TURN_RATE = 1.5
 """The driver turns no faster [rad/s]."""
+EQUAL_WHEELS = np.ones(2)
+"""Both wheels have the radius that the parameters say."""
 
 
 class RobotState(NamedTuple):
@@ -78,6 +80,8 @@ def advance(
     state: RobotState,
     command: FloatArray,
     rng: np.random.Generator,
+    radius_factors: FloatArray = EQUAL_WHEELS,
+    slip_std: tuple[float, float] | None = None,
 ) -> RobotState:
     """Return the robot one `STEP_S` later.
 
@@ -86,6 +90,8 @@ def advance(
         state: the robot now.
         command: `(..., 2)` [linear x, angular z] (m/s, rad/s).
         rng: source of the motor control's error and of slip.
+        radius_factors: `(2,)` true radius of the left and right wheel over the parameters' one.
+        slip_std: instead of the parameters' slip, per 375 ms (m, rad).
     """
     L = parameters.wheel_separation
     half_turn = 0.5 * L * command[..., 1]
@@ -95,10 +101,13 @@ def advance(
     way = speeds * (1.0 + parameters.wheel_speed_error * (2.0 * draws[0] - 1.0)) * STEP_S
 
     moving = np.any(speeds != 0.0, axis=-1, keepdims=True)
-    slip = draws[1] * np.asarray(parameters.slip()) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
-    control = np.stack(
-        [0.5 * (way[..., 0] + way[..., 1]), (way[..., 1] - way[..., 0]) / L], axis=-1
-    ) + np.where(moving, slip, 0.0)
+    std = parameters.slip() if slip_std is None else slip_std
+    slip = draws[1] * np.asarray(std) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
+    rolled = way * radius_factors
+    left, right = rolled[..., 0], rolled[..., 1]
+    control = np.stack([0.5 * (left + right), (right - left) / L], axis=-1) + np.where(
+        moving, slip, 0.0
+    )
     pose = state.pose + displacement(MotionModel.EXACT_ARC, state.pose[..., 2], control)
     pose[..., 2] = wrap_angle(pose[..., 2])
     return state._replace(pose=pose, travel=state.travel + way)

@@ -9,18 +9,20 @@ import numpy as np
 from fnn_ekf_ros.bag_files import STORAGES, BagWriter, file_beside
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.fake_robot import NODE_NAME, FakeRobotParameters
+from fnn_ekf_ros.parameters.fault_files import read_faults
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, default_of
-from fnn_ekf_ros.simulation.fake_robot import STEP_NS, FakeRobot
+from fnn_ekf_ros.simulation.delivery import STEP_NS
+from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.progress import with_progress
 
 START_NS = 3 * 10**9
 """ROS time at which simulated recordings start: eight periods [ns]."""
-
-
+FAULTS_NOTE = "faults"
+"""Key of the timeline of faults among the notes in a bag's metadata."""
 SMALLEST_SLIP = 1e-3
 """A filter needs some process noise even for a robot that never slips (m, rad)."""
 
@@ -50,14 +52,20 @@ def run(arguments: argparse.Namespace) -> int:
     matching = render_parameter_file(
         LocalizerParameters, asdict(matching_localizer(parameters)), LOCALIZER, head
     )
-    robot = FakeRobot(parameters, START_NS)
-    with BagWriter(arguments.out, arguments.storage, {NODE_NAME: text}, matching) as bag:
+    timeline = read_faults(parameters.faults_file)
+    notes = {NODE_NAME: text} | ({FAULTS_NOTE: timeline.text} if timeline.text else {})
+    robot = FakeRobot(parameters, START_NS, timeline.faults)
+    with BagWriter(arguments.out, arguments.storage, notes, matching) as bag:
         for _ in with_progress(range(steps), steps, "simulate"):
             for sent in robot.step():
-                bag.write(f"/{sent.topic}", sent.message, robot.stamp_ns)
+                # Recorded when it is sent, by a clock that no fault sets: readers sort by it.
+                bag.write(f"/{sent.topic}", sent.message, robot.time_ns)
+    count = len(timeline.faults)
+    with_faults = f", faults of {parameters.faults_file}: {count}" if count else ""
     print(
         f"{arguments.out}: {arguments.duration:g} s of path '{parameters.path}', seed "
-        f"{parameters.seed}; {file_beside(arguments.out)}: matching localizer parameters"
+        f"{parameters.seed}{with_faults}; {file_beside(arguments.out)}: matching localizer "
+        "parameters"
     )
     return 0
 

@@ -1,5 +1,6 @@
 """The nodes as a user runs them: processes, topics, parameters, services, signals."""
 
+import itertools
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -299,3 +301,40 @@ def test_unknown_fake_robot_parameter_ends_it_with_one_line(processes: Any) -> N
         "fake_robot: parameter 'path' is 'moon': expected one of square, round, figure_eight, "
         "sim1, sim2, cmd_vel"
     ]
+
+
+def test_fake_robot_with_a_wrong_timeline_of_faults_ends_with_one_line(
+    processes: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "faults.yaml").write_text("- {fault: slip, start: soon}\n")
+    path = tmp_path / "faults.yaml"
+    ended = processes.run("fake_robot", "--ros-args", "-p", f"faults_file:={path}")
+    assert ended.returncode == 1
+    assert ended.stderr.strip().splitlines() == [
+        f"fake_robot: faults_file '{path}', entry 1 (slip): parameter 'start' is 'soon': expected "
+        "a number from 0 to 1000000000 [s]"
+    ]
+
+
+def test_fake_robot_suffers_its_faults(
+    processes: Any, listener: Listener, patiently: Callable[..., None], tmp_path: Path
+) -> None:
+    """Its compass is silent from the start; its clock, which it publishes, jumps."""
+    path = tmp_path / "faults.yaml"
+    path.write_text(
+        "- {fault: dropout, topic: compass, start: 0}\n- {fault: clock_jump, start: 30, size: 1000}"
+    )
+    compass = listener.collect(Imu, "compass")
+    truth = listener.collect(Odometry, "ground_truth")
+    clock = listener.collect(Clock, "/clock")
+    processes.start("fake_robot", *ROBOT, "-p", f"faults_file:={path}")
+    patiently(lambda: listener.spin() or (clock and clock[-1].clock.sec > 1000), "the jump")
+    count = len(truth)
+    patiently(lambda: listener.spin() or len(truth) > count + 10, "the truth after it")
+    assert truth[-1].header.stamp.sec > 1000
+    assert not compass
+    times = [entry.clock.sec + 1e-9 * entry.clock.nanosec for entry in clock]
+    jumps = [later - former for former, later in itertools.pairwise(times)]
+    assert max(jumps) == pytest.approx(1000.0, abs=1.0)
+    assert sum(jump > 1.0 for jump in jumps) == 1
+    assert min(jumps) > 0.0

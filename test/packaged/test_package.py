@@ -70,7 +70,8 @@ def test_plain_pip_installs_a_package_that_runs(tmp_path: Path) -> None:
         capture_output=True,
     )  # fmt: skip
     shared = target / "share"
-    assert (shared / "fnn_ekf_ros" / "config" / "localizer.yaml").is_file()
+    for name in ("localizer", "fake_robot", "faults_example"):
+        assert (shared / "fnn_ekf_ros" / "config" / f"{name}.yaml").is_file()
     assert (shared / "ament_index" / "resource_index" / "packages" / "fnn_ekf_ros").is_file()
     environment = {**os.environ, "PYTHONPATH": str(target)}
     for arguments in (["simulate", "run", "--duration", "5"], ["replay", "run", "out",

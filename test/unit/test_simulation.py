@@ -13,7 +13,8 @@ from fnn_ekf_ros.core.motion import MotionModel, move
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, STEP_NS, FakeRobot, Sent
+from fnn_ekf_ros.simulation.delivery import STEP_NS, Sent
+from fnn_ekf_ros.simulation.fake_robot import OUTPUT_TYPES, FakeRobot
 from fnn_ekf_ros.simulation.paths import SPACING, scripted_path
 from fnn_ekf_ros.simulation.robot import (
     STEP_S,

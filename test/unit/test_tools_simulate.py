@@ -1,12 +1,15 @@
 """The command simulate, as from a shell."""
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 
 from fnn_ekf_ros.bag_files import BagReader
+from fnn_ekf_ros.messages import stamp_ns
 from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
@@ -69,6 +72,7 @@ def test_simulate_writes_what_a_localizer_needs(tmp_path: Path, succeed: Succeed
         (["--duration", "nan"], "--duration nan: expected"),
         (["--duration", "1e9"], "--duration 1e+09: expected"),
         (["--params", "missing.yaml"], "parameter file 'missing.yaml': No such file"),
+        (["-p", "faults_file:=missing.yaml"], "faults_file 'missing.yaml': No such file"),
     ],
 )
 def test_simulate_refuses(tmp_path: Path, refuse: Refuse, words: list[str], expected: str) -> None:
@@ -89,3 +93,59 @@ def test_simulate_into_the_folder_itself_is_refused(
     monkeypatch.chdir(tmp_path)
     for name in (".", "/"):
         assert "cannot be the name of a result" in refuse("simulate", name, "--duration", "1")
+
+
+def test_simulate_refuses_a_wrong_timeline_of_faults(tmp_path: Path, refuse: Refuse) -> None:
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("- {fault: slip, start: 1}\n- {fault: slip, start: -2}\n")
+    said = refuse("simulate", tmp_path / "bag", "-p", f"faults_file:={faults}")
+    assert said == (
+        f"simulate: faults_file '{faults}', entry 2 (slip): parameter 'start' is -2: expected a "
+        "number from 0 to 1000000000 [s]"
+    )
+
+
+def test_simulate_with_faults_makes_the_same_bytes_twice(tmp_path: Path, succeed: Succeed) -> None:
+    faults = tmp_path / "faults.yaml"
+    example = Path(__file__).resolve().parents[2] / "config" / "faults_example.yaml"
+    # Ten times as fast, so that each fault has its turn.
+    faults.write_text(re.sub(r"(start|duration): (\d+)\.0", r"\1: \2e-1", example.read_text()))
+    made = []
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        out = tmp_path / name / "bag"
+        said = succeed("simulate", out, "--duration", 30, "-p", f"faults_file:={faults}")
+        assert f", faults of {faults}: 23; " in said
+        made.append(contents(out))
+    assert made[0] == made[1]
+    metadata = yaml.safe_load((tmp_path / "one" / "bag" / "metadata.yaml").read_text())
+    notes = metadata["rosbag2_bagfile_information"]["custom_data"]
+    assert notes["faults"] == faults.read_text()
+    assert f'faults_file: "{faults}"' in notes["fake_robot"]
+
+
+def test_bags_are_in_order_of_sending_whatever_the_stamps_say(
+    tmp_path: Path, succeed: Succeed
+) -> None:
+    """A delayed fix is recorded when it is sent; a clock that jumps moves stamps only."""
+    faults = tmp_path / "faults.yaml"
+    faults.write_text(
+        "- {fault: delay, topic: lrf_pose, start: 0, size: 0.5}\n"
+        "- {fault: clock_jump, start: 5, size: -2}\n"
+    )
+    succeed("simulate", tmp_path / "bag", "--duration", 10, "-p", f"faults_file:={faults}")
+    with BagReader(tmp_path / "bag") as bag:
+        records = list(bag.records({"/lrf_pose", "/compass", "/left_ticks"}))
+        times = [record.time_ns for record in records]
+        assert times == sorted(times)
+        assert times[-1] == 13 * 10**9
+        lags = {
+            topic: [
+                record.time_ns - stamp_ns(bag.message(record))
+                for record in records
+                if record.topic == topic
+            ]
+            for topic in ("/lrf_pose", "/compass")
+        }
+    assert lags["/lrf_pose"] == [500_000_000] * 13 + [2_500_000_000] * 12
+    assert lags["/compass"] == [0] * 39 + [2 * 10**9] * 41

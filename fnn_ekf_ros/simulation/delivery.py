@@ -1,0 +1,182 @@
+"""The way of the messages from the sensors to whoever listens, and what goes wrong on it.
+
+Every fault is a stage. What a stage lets through enters the next one in the same step; whether a
+fault is on is asked when a message enters its stage.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.messages import Message
+from fnn_ekf_ros.parameters.faults import (
+    Burst,
+    Delay,
+    Dropout,
+    Duplicates,
+    Fault,
+    Frozen,
+    Reordered,
+)
+from fnn_ekf_ros.simulation.robot import STEP_S
+from fnn_ekf_ros.simulation.spoiling import SPOILERS, spoiled, with_stamp
+
+STEP_NS = round(STEP_S * 1e9)
+
+
+class Sent(NamedTuple):
+    """A message the robot sends."""
+
+    topic: str
+    message: Message
+
+
+def step_at(time_s: float) -> int:
+    """Return the first of the robot's steps that ends at or after a time since its start [s]."""
+    return -(-round(time_s * 1e9) // STEP_NS)
+
+
+class Stage:
+    """A fault of a topic's messages.
+
+    Args:
+        fault: with a `topic`.
+        rng: of its own, so that nothing else of the run depends on it.
+    """
+
+    def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
+        (self._topic,) = fault.targets()
+        self._first, self._end = step_at(fault.start), step_at(fault.end)
+        self._rate = float(getattr(fault, "rate", 1.0))
+        self._fault, self._rng = fault, rng
+
+    def passed(self, step: int, entering: Iterable[Sent]) -> Iterator[Sent]:
+        """Yield what leaves the stage in a step, of what enters it or is held back in it."""
+        on = self._first <= step < self._end
+        yield from self._released(step, on)
+        for sent in entering:
+            if sent.topic != self._topic:
+                yield sent
+            elif on and self._rng.random() < self._rate:
+                yield from self._suffering(step, sent)
+            else:
+                yield from self._healthy(sent)
+
+    def _released(self, step: int, on: bool) -> Iterable[Sent]:  # noqa: ARG002
+        return ()
+
+    def _healthy(self, sent: Sent) -> Iterable[Sent]:
+        return (sent,)
+
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:
+        raise NotImplementedError
+
+
+class _Spoiling(Stage):
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
+        return (sent._replace(message=spoiled(self._fault, sent.message, self._rng)),)
+
+
+class _Freezing(Stage):
+    _last: Message | None = None
+
+    def _healthy(self, sent: Sent) -> Iterable[Sent]:
+        self._last = sent.message
+        return (sent,)
+
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
+        if self._last is None:  # it was frozen from the start
+            self._last = sent.message
+        header = sent.message.fields.get("header")
+        frozen = self._last if header is None else with_stamp(self._last, header.fields["stamp"])
+        return (sent._replace(message=frozen),)
+
+
+class _Losing(Stage):
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
+        return ()
+
+
+class _Doubling(Stage):
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
+        return (sent, sent)
+
+
+class _Delaying(Stage):
+    def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
+        super().__init__(fault, rng)
+        self._late = step_at(float(getattr(fault, "size", math.inf)))
+        self._held: deque[tuple[int, Sent]] = deque()
+
+    def _released(self, step: int, on: bool) -> Iterable[Sent]:  # noqa: ARG002
+        while self._held and self._held[0][0] <= step:
+            yield self._held.popleft()[1]
+
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:
+        if self._late == 0:
+            return (sent,)
+        self._held.append((step + self._late, sent))
+        return ()
+
+
+class _Holding(Stage):
+    def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
+        super().__init__(fault, rng)
+        self._held: list[Sent] = []
+
+    def _released(self, step: int, on: bool) -> Iterable[Sent]:  # noqa: ARG002
+        if not on:
+            yield from self._held
+            self._held = []
+
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
+        self._held.append(sent)
+        return ()
+
+
+class _Swapping(_Holding):
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:
+        if not self._held:
+            return super()._suffering(step, sent)
+        return (sent, self._held.pop())
+
+
+_STAGES: dict[type[Fault], type[Stage]] = {
+    **dict.fromkeys(SPOILERS, _Spoiling),
+    Frozen: _Freezing,
+    Dropout: _Losing,
+    Duplicates: _Doubling,
+    Delay: _Delaying,
+    Burst: _Holding,
+    Reordered: _Swapping,
+}
+
+
+class Delivery:
+    """All stages between the sensors and whoever listens.
+
+    What is measured goes wrong before its delivery does, whatever the order of the faults.
+
+    Args:
+        faults: of any kind; those that are no stages are passed over.
+        rngs: one for each.
+    """
+
+    def __init__(self, faults: Sequence[Fault], rngs: Sequence[np.random.Generator]) -> None:
+        order = list(_STAGES)
+        stages = [
+            (order.index(type(fault)) >= order.index(Dropout), _STAGES[type(fault)](fault, rng))
+            for fault, rng in zip(faults, rngs, strict=True)
+            if type(fault) in _STAGES
+        ]
+        self._stages = [stage for _, stage in sorted(stages, key=lambda entry: entry[0])]
+
+    def sent(self, step: int, measured: Iterable[Sent]) -> list[Sent]:
+        """Return what is sent in a step of what is measured in it and what was held back."""
+        found = list(measured)
+        for stage in self._stages:
+            found = list(stage.passed(step, found))
+        return found
