@@ -1,6 +1,7 @@
 """Array types and the row layout of the measurement vector, shared by the whole core."""
 
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,3 +37,20 @@ def symmetrize(matrix: FloatArray) -> FloatArray:
 def diagonal_matrix(diagonal: FloatArray) -> FloatArray:
     """Return matrices `(..., n, n)` with the entries `(..., n)` on their diagonals."""
     return np.asarray(diagonal[..., None] * np.eye(diagonal.shape[-1]), dtype=np.float64)
+
+
+def select(where: BoolArray, one: Any, other: Any) -> Any:
+    """Return one of two values for each filter of a batch.
+
+    Args:
+        where: `(...)` whether it is the first.
+        one: an array `(..., n, m)`, None, or a NamedTuple of such values.
+        other: of the same kind.
+    """
+    if one is None:
+        return None
+    if isinstance(one, tuple):
+        parts = zip(one, other, strict=True)
+        return type(one)(*(select(where, a, b) for a, b in parts))
+    inner = np.ndim(one) - np.ndim(where)
+    return np.where(np.reshape(where, (*np.shape(where), *(1,) * inner)), one, other)

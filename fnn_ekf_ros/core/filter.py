@@ -1,8 +1,9 @@
 """The whole filter as one immutable value and one pure function.
 
 `step` reads as the method: predict by the wheels, carry the measurements to the period's end,
-correct, remember the innovation, adapt the noise. A `FilterState` is never changed, so keeping
-an old one is all it takes to go back in time. Every array may have leading batch dimensions.
+judge them, correct, remember the innovation, adapt the noise. A `FilterState` is never changed,
+so keeping an old one is all it takes to go back in time. Every array may have leading batch
+dimensions.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import Adaptation, AdaptationMode, Scales, adapt
-from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray
+from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray, select
+from fnn_ekf_ros.core.gate import (
+    OPEN_GATE,
+    Gate,
+    GateState,
+    after_verdict,
+    judge,
+    rows_of,
+    start_gate,
+    teaching,
+)
 from fnn_ekf_ros.core.joint import (
     JointReport,
     JointState,
@@ -21,7 +32,7 @@ from fnn_ekf_ros.core.joint import (
     noise_in_use,
     start_joint,
 )
-from fnn_ekf_ros.core.kalman import correct
+from fnn_ekf_ros.core.kalman import innovate, update
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.plant import (
     NOMINAL_PERIOD_S,
@@ -32,6 +43,7 @@ from fnn_ekf_ros.core.plant import (
     predict,
     reported_scale,
 )
+from fnn_ekf_ros.core.relocation import Candidate, follow, no_candidate
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window, push
 
 __all__ = [
@@ -57,6 +69,7 @@ class FilterModel:
         process_noise: diagonal of Q for `NOMINAL_PERIOD_S` at the start (m^2, rad^2).
         measurement_noise: diagonal of R at the start, rows as in `Row`.
         adaptation: how Q and R change.
+        gate: which readings are too wild to be right.
     """
 
     motion_model: MotionModel
@@ -64,6 +77,7 @@ class FilterModel:
     process_noise: tuple[float, float]
     measurement_noise: tuple[float, float, float, float]
     adaptation: Adaptation
+    gate: Gate = OPEN_GATE
 
     @property
     def plant(self) -> Plant:
@@ -82,6 +96,8 @@ class FilterState(NamedTuple):
         measurement_noise: `(..., 4)` diagonal of R, rows as in `Row`.
         window: the last innovations.
         joint: what joint adaptation remembers; None in the other modes.
+        gate: what the gate remembers.
+        candidate: where rejected readings say the robot is.
     """
 
     mean: FloatArray
@@ -90,6 +106,8 @@ class FilterState(NamedTuple):
     measurement_noise: FloatArray
     window: InnovationWindow
     joint: JointState | None
+    gate: GateState
+    candidate: Candidate
 
 
 class StepResult(NamedTuple):
@@ -105,6 +123,10 @@ class StepResult(NamedTuple):
         firing_strength: `(..., 4, 3)` alpha of the rules I, M, D; of the four log scales in
             mode `joint`.
         joint: what joint adaptation believes; None in the other modes.
+        sensor_nis: `(..., 2)` NIS of each sensor's rows, in the order of `gate`.
+        sensor_degrees_of_freedom: `(..., 2)` how many rows it measured.
+        rejected: `(..., 2)` whether the gate rejected it.
+        relocated: `(...)` whether the pose was moved to where rejected readings agree.
     """
 
     innovation: FloatArray
@@ -115,6 +137,10 @@ class StepResult(NamedTuple):
     mismatch: FloatArray
     firing_strength: FloatArray
     joint: JointReport | None
+    sensor_nis: FloatArray
+    sensor_degrees_of_freedom: FloatArray
+    rejected: BoolArray
+    relocated: BoolArray
 
 
 def start_filter(
@@ -147,6 +173,8 @@ def start_filter(
         measurement_noise=R,
         window=empty_window(model.adaptation.window_length, batch),
         joint=start_joint(mean, covariance, Q, R) if joint else None,
+        gate=start_gate(batch),
+        candidate=no_candidate(mean, covariance),
     )
 
 
@@ -158,6 +186,8 @@ def reset_pose(state: FilterState, mean: FloatArray, covariance: FloatArray) -> 
         covariance=covariance,
         window=empty_window(length, mean.shape[:-1]),
         joint=None if state.joint is None else at_pose(state.joint, mean, covariance),
+        gate=start_gate(mean.shape[:-1]),
+        candidate=no_candidate(mean, covariance),
     )
 
 
@@ -196,25 +226,41 @@ def step(
         The state at the period's end, and what the period showed.
     """
     plant = model.plant
-    mean, covariance = predict(
-        plant, state.mean, state.covariance, state.process_noise, period.control
-    )
-    corrected = correct(
-        mean,
-        covariance,
-        carry_to_end(plant, state.mean[..., 2], period),
-        noise_matrix(plant, state.measurement_noise, period),
-        period.available,
-    )
+    noise = state.process_noise, state.measurement_noise
+    mean, covariance = predict(plant, state.mean, state.covariance, noise[0], period.control)
+    z = carry_to_end(plant, state.mean[..., 2], period)
+    R_full = noise_matrix(plant, noise[1], period)
+    seen = innovate(mean, covariance, z, R_full, period.available)
 
-    window = push(state.window, corrected.innovation, period.available)
+    verdict = judge(model.gate, state.gate, seen, period.available)
+    accepted = period.available & ~rows_of(verdict.rejected)
+    used = seen
+    if np.any(verdict.rejected):
+        used = innovate(mean, covariance, z, R_full, accepted)
+    corrected, corrected_P = update(mean, covariance, R_full, accepted, used)
+    candidate, relocation = follow(
+        plant,
+        model.gate,
+        state.candidate,
+        corrected,
+        corrected_P,
+        noise,
+        state.mean[..., 2],
+        period,
+        state.gate,
+        verdict,
+    )
+    teaches = period.available & rows_of(teaching(state.gate, verdict, relocation.explains))
+
+    window = push(state.window, seen.innovation, teaches)
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)[..., [0, 1, 2, 2]]
+    innovation_variance = variance + np.diagonal(R_full, axis1=-2, axis2=-1)
     adapted = adapt(
         model.adaptation,
-        state.process_noise,
-        state.measurement_noise,
+        *noise,
         window,
-        corrected.innovation_variance,
-        period.available,
+        innovation_variance,
+        teaches,
         mean[..., 2],
         Scales(process=plant.period_scale, measurement=reported_scale(plant, period)),
     )
@@ -223,19 +269,41 @@ def step(
     if joint is not None:
         how = model.adaptation
         joint, report = adapt_jointly(
-            plant, how.network.sets, how.bounds, joint, period, how.learning
+            plant, how.network.sets, how.bounds, joint, period, accepted, teaches, how.learning
         )
         Q, R = noise_in_use(joint, how.bounds)
         alpha = report.firing_strength
-    after = FilterState(corrected.mean, corrected.covariance, Q, R, window, joint)
+    after = FilterState(
+        corrected,
+        corrected_P,
+        Q,
+        R,
+        window,
+        joint,
+        after_verdict(state.gate, verdict, relocation.agrees),
+        candidate,
+    )
     result = StepResult(
-        corrected.innovation,
-        corrected.innovation_variance,
+        seen.innovation,
+        innovation_variance,
         period.available,
-        corrected.nis,
-        corrected.degrees_of_freedom,
+        seen.nis,
+        seen.degrees_of_freedom,
         adapted.mismatch,
         alpha,
         report,
+        verdict.nis,
+        verdict.degrees_of_freedom,
+        verdict.rejected,
+        relocation.confirmed,
     )
-    return after, result
+    return _relocated(after, relocation.confirmed), result
+
+
+def _relocated(state: FilterState, confirmed: BoolArray) -> FilterState:
+    """Return the filters that a candidate was confirmed for at its pose."""
+    if not np.any(confirmed):
+        return state
+    moved = reset_pose(state, state.candidate.mean, state.candidate.covariance)
+    chosen: FilterState = select(confirmed, moved, state)
+    return chosen

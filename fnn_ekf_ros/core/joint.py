@@ -213,6 +213,8 @@ def adapt_jointly(
     bounds: NoiseBounds,
     state: JointState,
     period: StepInput,
+    accepted: BoolArray,
+    teaching: BoolArray,
     learning: bool,
 ) -> tuple[JointState, JointReport]:
     """Take all filters over one period and learn from what they predicted.
@@ -223,6 +225,9 @@ def adapt_jointly(
         bounds: what the noise cannot leave.
         state: the state before; not changed.
         period: what the period brought.
+        accepted: `(..., 4)` the rows that correct the filters.
+        teaching: `(..., 4)` the rows that are learned from; all that are accepted, and those
+            that the gate rejects because the noise is wrong.
         learning: False only moves the filters on; what was learned stays as it is, and what a
             sudden hypothesis has to say fades.
     """
@@ -231,8 +236,11 @@ def adapt_jointly(
     mean, covariance = predict(plant, state.mean, state.covariance, Q, each.control)
     z = carry_to_end(plant, state.mean[..., 2], each)
     noise = noise_matrix(plant, R, each)
-    seen = innovate(mean, covariance, z, noise, each.available)
-    mean, covariance = update(mean, covariance, noise, each.available, seen)
+    corrects, teaches = accepted[..., None, :], teaching[..., None, :]
+    seen = used = innovate(mean, covariance, z, noise, teaches)
+    if np.any(corrects != teaches):
+        used = innovate(mean, covariance, z, noise, corrects)
+    mean, covariance = update(mean, covariance, noise, corrects, used)
 
     first = slice(0, _FORECAST_FILTERS)
     ahead, spread = predict(
@@ -247,15 +255,15 @@ def adapt_jointly(
         spread[..., 0, :, :, :],
         z[..., first, :],
         noise[..., first, :, :],
-        each.available,
+        teaches,
     )
 
-    measured = np.any(period.available, axis=-1)
+    measured = np.any(teaching, axis=-1)
     still = np.abs(period.control) < np.asarray(STANDSTILL) * plant.period_scale
-    teaches = measured & ~np.all(still, axis=-1) & learning
+    learns = measured & ~np.all(still, axis=-1) & learning
     moved = state._replace(mean=mean, covariance=covariance)
-    after, explained, alpha = _learn_all(moved, sets, bounds, seen, forecast, teaches)
-    faded = np.where(teaches[..., None], after.lead, ALARM_MEMORY * after.lead)
+    after, explained, alpha = _learn_all(moved, sets, bounds, seen, forecast, learns)
+    faded = np.where(learns[..., None], after.lead, ALARM_MEMORY * after.lead)
     after = after._replace(lead=faded)
     after = _shift_forecasts(after, ahead, spread, measured)
     return after, JointReport(_log_scale_in_use(after), explained, alpha, _weights(after))

@@ -10,6 +10,7 @@ from fnn_ekf_ros.core.adaptation import (
 )
 from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.filter import FilterModel
+from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.odometry import WheelGeometry
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -53,6 +54,7 @@ def filter_model(parameters: LocalizerParameters, network: FuzzyNetwork) -> Filt
                 ),
             ),
         ),
+        gate=gate_for(p.compass_gate, p.lrf_pose_gate),
     )
 
 

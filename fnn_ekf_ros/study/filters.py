@@ -31,16 +31,19 @@ EKF = "ekf"
 JOINT = "joint"
 DEAD_RECKONING = "dead_reckoning"
 BANK = "multiple_model"
-ADAPTIVE: tuple[tuple[str, str, dict[str, str]], ...] = (
+SMALLEST_WINDOW = 2
+"""A filter that adapts nothing need not carry more innovations along."""
+PLAIN: dict[str, Any] = {"adaptation": "none", "innovation_window": SMALLEST_WINDOW}
+"""Parameters of an EKF that adapts nothing."""
+GATED: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("ekf_gated", "EKF with gate", PLAIN),
     (JOINT, "FNN-EKF joint", {"adaptation": "joint"}),
     ("r_published", "FNN-EKF R, published", {"adaptation": "r", "membership_file": "published"}),
     ("r_trained", "FNN-EKF R, trained", {"adaptation": "r", "membership_file": "trained"}),
     ("q_published", "FNN-EKF Q, published", {"adaptation": "q", "membership_file": "published"}),
     ("q_trained", "FNN-EKF Q, trained", {"adaptation": "q", "membership_file": "trained"}),
 )
-"""The adaptive filters of the localizer: name, label, parameters."""
-SMALLEST_WINDOW = 2
-"""A filter that adapts nothing need not carry more innovations along."""
+"""The filters of the localizer as it is shipped, with its gate: name, label, parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +74,14 @@ class LocalizerModel(NamedTuple):
 
 
 def localizer_models(parameters: LocalizerParameters) -> dict[str, LocalizerModel]:
-    """Return the localizer's own filters by name, the EKF first.
+    """Return the localizer's own filters by name, the EKF first: plain, without a gate.
 
     Args:
         parameters: of every filter, but for what its name says.
     """
-    fixed = _model(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
+    fixed = _model(parameters, **PLAIN, compass_gate=0.0, lrf_pose_gate=0.0)
     return {EKF: LocalizerModel("EKF", fixed)} | {
-        name: LocalizerModel(label, _model(parameters, **changes))
-        for name, label, changes in ADAPTIVE
+        name: LocalizerModel(label, _model(parameters, **changes)) for name, label, changes in GATED
     }
 
 

@@ -26,6 +26,7 @@ _STYLES: dict[str, tuple[str, str]] = {
     ORACLE: ("#000000", ":"),
     "dead_reckoning": ("#999999", "-."),
     "ekf": ("#E69F00", "-"),
+    "ekf_gated": ("#E69F00", "--"),
     "r_published": ("#0072B2", "-"),
     "q_published": ("#0072B2", "--"),
     "r_trained": ("#56B4E9", "-"),

@@ -1,0 +1,183 @@
+"""Relocation: where readings that the gate rejects agree with each other, the robot may be there.
+
+A second filter, the candidate, starts where the first rejected reading says the robot is, takes
+from the published one what that reading does not say, and follows wheels and readings. As long as
+it predicts the readings that the gate rejects it is confirmed; a reading that it does not predict
+starts it anew. Confirmed often enough, it is where the robot is.
+
+Fixes decide alone. A compass that is confirmed needs fixes that agree with it, too: they must not
+fit the candidate worse than the published filter, or a magnet would turn the robot round.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
+from fnn_ekf_ros.core.gate import (
+    COMPASS,
+    LRF_POSE,
+    SENSOR_COUNT,
+    Gate,
+    GateState,
+    Verdict,
+    limits,
+    nis_by_sensor,
+    rows_of,
+)
+from fnn_ekf_ros.core.kalman import innovate, update
+from fnn_ekf_ros.core.plant import Plant, StepInput, carry_to_end, noise_matrix, predict
+
+CONFIRMATIONS = 8
+"""So many readings in a row have to confirm a candidate; three seconds at 375 ms."""
+LARGEST_DISAGREEMENT = 6.0
+"""By so much e the other readings may speak for the published filter, and no more."""
+
+CLEARLY_LESS = 1.0 / 9.0
+"""A candidate explains a reading if e is so much smaller; noise alone seldom does that."""
+
+
+class Candidate(NamedTuple):
+    """Where rejected readings say the robot is.
+
+    Attributes:
+        active: `(...)` whether there is one; the rest means nothing where not.
+        mean: `(..., 3)` (m, m, rad).
+        covariance: `(..., 3, 3)`.
+        confirmations: `(..., 2)` how often the rejected readings of each sensor confirmed it.
+        disagreement: `(...)` sum of e against the candidate minus e against the published filter,
+            of readings that the gate accepted.
+    """
+
+    active: BoolArray
+    mean: FloatArray
+    covariance: FloatArray
+    confirmations: FloatArray
+    disagreement: FloatArray
+
+
+class Relocation(NamedTuple):
+    """What a period said about the candidate.
+
+    Attributes:
+        agrees: `(..., 2)` whether each sensor's reading agrees with the candidate.
+        explains: `(..., 2)` whether it agrees far better than with the published filter.
+        confirmed: `(...)` whether the robot is at the candidate from now on.
+    """
+
+    agrees: BoolArray
+    explains: BoolArray
+    confirmed: BoolArray
+
+
+def no_candidate(mean: FloatArray, covariance: FloatArray) -> Candidate:
+    """Return the state without a candidate for filters `(..., 3)`, `(..., 3, 3)`."""
+    batch = mean.shape[:-1]
+    return Candidate(
+        active=np.zeros(batch, dtype=np.bool_),
+        mean=mean,
+        covariance=covariance,
+        confirmations=np.zeros((*batch, SENSOR_COUNT)),
+        disagreement=np.zeros(batch),
+    )
+
+
+def follow(
+    plant: Plant,
+    gate: Gate,
+    candidate: Candidate,
+    mean: FloatArray,
+    covariance: FloatArray,
+    noise: tuple[FloatArray, FloatArray],
+    heading: FloatArray,
+    period: StepInput,
+    remembered: GateState,
+    verdict: Verdict,
+) -> tuple[Candidate, Relocation]:
+    """Take the candidate over a period, or start one.
+
+    Args:
+        plant: the robot.
+        gate: how far a reading may be off to agree.
+        candidate: before the period; not changed.
+        mean: `(..., 3)` the published filter at the period's end.
+        covariance: `(..., 3, 3)` its covariance.
+        noise: Q `(..., 2)` and R `(..., 4)` in use.
+        heading: `(...)` of the published filter at the period's begin [rad].
+        period: what it brought.
+        remembered: by the gate, before the period.
+        verdict: what the gate says about it.
+    """
+    if not np.any(candidate.active) and not np.any(verdict.rejected):
+        nowhere = np.zeros(verdict.rejected.shape, dtype=np.bool_)
+        return candidate, Relocation(nowhere, nowhere, nowhere[..., 0])
+    Q, R = noise
+    available, rejected = period.available, verdict.rejected
+    spoke = verdict.degrees_of_freedom > 0.0
+
+    ahead, spread = predict(plant, candidate.mean, candidate.covariance, Q, period.control)
+    z = carry_to_end(plant, candidate.mean[..., 2], period)
+    R_full = noise_matrix(plant, R, period)
+    nis, count = nis_by_sensor(innovate(ahead, spread, z, R_full, available), available)
+    agrees = candidate.active[..., None] & spoke & (nis <= limits(gate, count) * remembered.spread)
+    confirmed_by = rejected & agrees
+
+    used = available & rows_of(agrees)
+    seen = innovate(ahead, spread, z, R_full, used)
+    followed, followed_P = update(ahead, spread, R_full, used, seen)
+    other = np.where(spoke & ~rejected, nis - verdict.nis, 0.0)
+    confirmations = np.where(
+        confirmed_by,
+        candidate.confirmations + 1.0,
+        np.where(spoke, 0.0, candidate.confirmations),
+    )
+    disagreement = candidate.disagreement + np.sum(other, axis=-1)
+
+    starts = np.any(rejected & ~agrees, axis=-1)
+    started, started_P = _start(plant, mean, covariance, R_full, heading, period, rejected)
+    in_a_row = np.where(spoke, rejected, remembered.rejections > 0.0)
+    after = Candidate(
+        active=starts | (candidate.active & np.any(in_a_row, axis=-1)),
+        mean=np.where(starts[..., None], started, followed),
+        covariance=np.where(starts[..., None, None], started_P, followed_P),
+        confirmations=np.where(starts[..., None], 0.0, confirmations),
+        disagreement=np.where(starts, 0.0, disagreement),
+    )
+    enough = after.confirmations >= CONFIRMATIONS
+    confirmed = enough[..., LRF_POSE] | (
+        enough[..., COMPASS]
+        & ~rejected[..., LRF_POSE]
+        & (after.disagreement <= LARGEST_DISAGREEMENT)
+    )
+    return after, Relocation(agrees, agrees & (nis < CLEARLY_LESS * verdict.nis), confirmed)
+
+
+def _start(
+    plant: Plant,
+    mean: FloatArray,
+    covariance: FloatArray,
+    R_full: FloatArray,
+    heading: FloatArray,
+    period: StepInput,
+    rejected: BoolArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the published filter with what the rejected readings say in its place."""
+    z = carry_to_end(plant, heading, period)
+    says = period.available & rows_of(rejected)
+    by_compass = says[..., Row.COMPASS_YAW]
+    replaced = np.stack(
+        [says[..., Row.X], says[..., Row.Y], by_compass | says[..., Row.LRF_YAW]], axis=-1
+    )
+    yaw = np.where(by_compass, z[..., Row.COMPASS_YAW], z[..., Row.LRF_YAW])
+    told = np.stack(np.broadcast_arrays(z[..., Row.X], z[..., Row.Y], yaw), axis=-1)
+
+    variance = np.diagonal(R_full, axis1=-2, axis2=-1)
+    told_P = np.zeros_like(covariance)
+    told_P[..., :2, :2] = R_full[..., :2, :2]
+    told_P[..., 2, 2] = np.where(
+        by_compass, variance[..., Row.COMPASS_YAW], variance[..., Row.LRF_YAW]
+    )
+    both = replaced[..., :, None] & replaced[..., None, :]
+    neither = ~replaced[..., :, None] & ~replaced[..., None, :]
+    started_P = np.where(both, told_P, np.where(neither, covariance, 0.0))
+    return np.where(replaced, told, mean), started_P
