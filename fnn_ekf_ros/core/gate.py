@@ -9,9 +9,9 @@ exceeds with a small chance, times the sensor's recent *spread*. Nothing can be 
     relocation  readings that are rejected but agree with each other are another place
                 (`relocation`): the spread stays, and the pose moves there after some seconds
 
-A reading that is rejected teaches the adaptation nothing, with one exception: the second one and
-every further one of a row that agree with nothing are noise, and noise is to be learned. So a lone
-wild fix does to the filter exactly what a missing one does.
+A reading that is rejected teaches the adaptation nothing, unless the one before it or several of
+late were rejected, too, and no other place of the robot explains it: that is noise, and noise is
+to be learned. So a lone wild fix does to the filter exactly what a missing one does.
 """
 
 import math
@@ -33,8 +33,10 @@ SPREAD_MEMORY = 0.7
 SPREAD_GROWTH = 1.65
 """With e^(1/2) a rejected reading, a gate that is too tight by 25 in variance opens after six."""
 
-NOISY_SPREAD = 2.0
-"""A spread that no lone wild reading leaves: from here on a rejected one is noise, and teaches."""
+SHARE_MEMORY = 0.9
+"""Part of the share of rejected readings that is remembered from one to the next."""
+NOISY_SHARE = 0.09
+"""A share that the reading before leaves, or several lately: a rejected one is noise then."""
 
 _LRF_ROWS = [Row.X, Row.Y, Row.LRF_YAW]
 
@@ -60,10 +62,12 @@ class GateState(NamedTuple):
     Attributes:
         spread: `(..., 2)` s of each sensor, 1 or more.
         rejections: `(..., 2)` how many readings of each sensor were rejected in a row.
+        rejected_share: `(..., 2)` how many were lately, as a part of all.
     """
 
     spread: FloatArray
     rejections: FloatArray
+    rejected_share: FloatArray
 
 
 class Verdict(NamedTuple):
@@ -94,7 +98,8 @@ OPEN_GATE = gate_for(0.0, 0.0)
 
 def start_gate(batch: tuple[int, ...] = ()) -> GateState:
     """Return the state of a gate that has seen nothing."""
-    return GateState(np.ones((*batch, SENSOR_COUNT)), np.zeros((*batch, SENSOR_COUNT)))
+    none = np.zeros((*batch, SENSOR_COUNT))
+    return GateState(np.ones_like(none), none, none)
 
 
 def nis_by_sensor(seen: Innovation, available: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -150,9 +155,12 @@ def after_verdict(state: GateState, verdict: Verdict, agrees: BoolArray) -> Gate
     grown = np.where(agrees, state.spread, SPREAD_GROWTH * state.spread)
     spread = np.where(verdict.rejected, grown, np.maximum(1.0, remembered))
     spoke = verdict.degrees_of_freedom > 0.0
+    rejections = np.where(verdict.rejected, state.rejections + 1.0, 0.0)
+    share = SHARE_MEMORY * state.rejected_share + (1.0 - SHARE_MEMORY) * verdict.rejected
     return GateState(
         np.where(spoke, spread, state.spread),
-        np.where(spoke, np.where(verdict.rejected, state.rejections + 1.0, 0.0), state.rejections),
+        np.where(spoke, rejections, state.rejections),
+        np.where(spoke, share, state.rejected_share),
     )
 
 
@@ -164,5 +172,5 @@ def teaching(state: GateState, verdict: Verdict, explained: BoolArray) -> BoolAr
         verdict: what was said in it.
         explained: `(..., 2)` whether another place of the robot explains a reading.
     """
-    noisy = (state.rejections >= 1.0) | (state.spread >= NOISY_SPREAD)
+    noisy = state.rejected_share >= NOISY_SHARE
     return ~verdict.rejected | (noisy & ~explained)

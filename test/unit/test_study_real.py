@@ -39,7 +39,8 @@ needs_data = pytest.mark.skipif(
 )
 CELLS = (Cell(1.0, 1.0), Cell(1.0 / 25.0, 25.0), Cell(4.0, 1.0 / 25.0))
 FILTERS: dict[str, dict[str, Any]] = {
-    "ekf": {"adaptation": "none"},
+    "ekf": {"adaptation": "none", "compass_gate": 0.0, "lrf_pose_gate": 0.0},
+    "ekf_gated": {"adaptation": "none"},
     "joint": {"adaptation": "joint"},
     "r_published": {"adaptation": "r", "membership_file": "published"},
     "q_trained": {"adaptation": "q", "membership_file": "trained"},
@@ -293,7 +294,7 @@ def test_the_same_numbers_as_replay_and_evaluate(
     [
         (["--truth-topic", "/truth"], "topic /truth is missing, expected nav_msgs/msg/Odometry"),
         (["--truth-topic", "/left_ticks"], "topic /left_ticks is of type std_msgs/msg/Int32"),
-        (["--filters", "ukf"], "--filters ukf: expected some of joint, r_published, "),
+        (["--filters", "ukf"], "--filters ukf: expected some of ekf_gated, joint, r_published, "),
         (["--filters", "oracle"], "--filters oracle: expected some of joint, "),
         (["-p", "adaptation:=r"], "parameter 'adaptation': the filters' names decide on it"),
         (

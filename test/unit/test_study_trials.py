@@ -1,6 +1,7 @@
 """Filters and trials of the studies: what they share, and how they must come out."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,8 +98,9 @@ def test_every_filter_by_its_name(filters: dict[str, StudyFilter]) -> None:
     looks = [line_style(name, {name: ""}) for name in filters]
     assert len({(look["color"], look["ls"]) for look in looks}) == len(filters)
     assert {
-        "dead_reckoning", "ekf", "oracle", "r_published", "q_published", "r_trained", "q_trained",
-        "innovation_based", "sage_husa", "variational_bayes", "multiple_model",
+        "dead_reckoning", "ekf", "ekf_gated", "oracle", "r_published", "q_published", "r_trained",
+        "q_trained", "innovation_based", "sage_husa", "variational_bayes",
+        "multiple_model",
     } <= set(filters)  # fmt: skip
 
 
@@ -123,14 +125,15 @@ def test_a_batch_is_what_its_robots_are_one_by_one(
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("ekf", {"adaptation": "none"}),
+        ("ekf", {"adaptation": "none", "compass_gate": 0.0, "lrf_pose_gate": 0.0}),
+        ("ekf_gated", {"adaptation": "none"}),
         ("joint", {"adaptation": "joint"}),
         ("r_published", {"adaptation": "r", "membership_file": "published"}),
         ("q_trained", {"adaptation": "q", "membership_file": "trained"}),
     ],
 )
 def test_filters_are_the_localizers_own(
-    make_parameters: Make, tiny: tuple[Recording, Start], name: str, changes: dict[str, str]
+    make_parameters: Make, tiny: tuple[Recording, Start], name: str, changes: dict[str, Any]
 ) -> None:
     """Step by step with the model that the localizer would make of its parameters."""
     shared = {"innovation_window": 6, "motion_model": "paper"}
