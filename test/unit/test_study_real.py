@@ -295,7 +295,7 @@ def test_the_same_numbers_as_replay_and_evaluate(
         (["--truth-topic", "/truth"], "topic /truth is missing, expected nav_msgs/msg/Odometry"),
         (["--truth-topic", "/left_ticks"], "topic /left_ticks is of type std_msgs/msg/Int32"),
         (["--filters", "ukf"], "--filters ukf: expected some of ekf_gated, joint, r_published, "),
-        (["--filters", "oracle"], "--filters oracle: expected some of joint, "),
+        (["--filters", "oracle"], "--filters oracle: expected some of ekf_gated, "),
         (["-p", "adaptation:=r"], "parameter 'adaptation': the filters' names decide on it"),
         (
             ["-p", "process_noise_std:=[3.0, 0.1]"],
