@@ -17,7 +17,7 @@ export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
 
-test: $(VENV)/.installed lint
+test: $(VENV)/.installed-tests lint
 	$(COLCON) build --paths . $(COLCON_PATHS)
 	$(COLCON) test --paths . $(COLCON_PATHS) --return-code-on-test-failure \
 	  --event-handlers console_direct+
@@ -30,6 +30,14 @@ lint: $(VENV)/.installed
 
 $(VENV)/.installed: requirements.txt requirements-ros.txt setup.py package.xml
 	sh scripts/make_venv.sh "$(PYTHON)" "$(VENV)"
+	touch $@
+
+# For the tests of /tf only: make demo does not need it.
+$(VENV)/.installed-tests: $(VENV)/.installed requirements-tests.txt
+	if ! $(BIN)/python -c 'import tf2_msgs' 2>/dev/null && command -v cmake >/dev/null; then \
+	  $(BIN)/python -m pip install --disable-pip-version-check --quiet \
+	    -r requirements-tests.txt; \
+	fi
 	touch $@
 
 clean:

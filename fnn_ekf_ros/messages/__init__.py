@@ -22,6 +22,8 @@ from fnn_ekf_ros.messages.names import (
     ODOMETRY_TYPE,
     POSE_TYPE,
     RIGHT_TICKS,
+    TF,
+    TF_TYPE,
     TICKS_TYPE,
     TWIST_TYPE,
     absolute_name,
@@ -31,6 +33,7 @@ from fnn_ekf_ros.messages.reading import (
     planar_block,
     planar_pose,
     read_input,
+    read_transforms,
     stamp_ns,
     yaw_of,
 )
@@ -48,6 +51,7 @@ from fnn_ekf_ros.messages.writing import (
     pose_with_covariance,
     quaternion,
     time,
+    transform_message,
 )
 
 __all__ = [
@@ -73,6 +77,8 @@ __all__ = [
     "PLANAR",
     "POSE_TYPE",
     "RIGHT_TICKS",
+    "TF",
+    "TF_TYPE",
     "TICKS_TYPE",
     "TWIST_TYPE",
     "UNUSED_VARIANCE",
@@ -91,7 +97,9 @@ __all__ = [
     "pose_with_covariance",
     "quaternion",
     "read_input",
+    "read_transforms",
     "stamp_ns",
     "time",
+    "transform_message",
     "yaw_of",
 ]

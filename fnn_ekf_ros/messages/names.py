@@ -17,6 +17,7 @@ DIAGNOSTICS = "/diagnostics"
 GROUND_TRUTH = "ground_truth"
 CMD_VEL = "cmd_vel"
 CLOCK = "/clock"
+TF = "/tf"
 
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
@@ -27,6 +28,7 @@ COMPASS_TYPE = "sensor_msgs/msg/Imu"
 POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 TWIST_TYPE = "geometry_msgs/msg/Twist"
+TF_TYPE = "tf2_msgs/msg/TFMessage"
 
 INPUT_TYPES = {
     LEFT_TICKS: TICKS_TYPE,

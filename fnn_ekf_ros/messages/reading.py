@@ -27,6 +27,7 @@ from fnn_ekf_ros.pipeline.events import (
     Wheel,
     WheelCount,
 )
+from fnn_ekf_ros.pipeline.frames import Transform
 
 _A_COVARIANCE = (
     f"a symmetric, positive definite covariance with {SMALLEST_STD**2:g} to {LARGEST_STD**2:g} on "
@@ -72,6 +73,26 @@ def yaw_of(orientation: Any) -> float | None:
         return None
     x, y, z, w = (component / norm for component in q)
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def read_transforms(message: Any, parent: str, child: str) -> list[Transform]:
+    """Return what a tf2_msgs/TFMessage says of one transform; what is no rotation is left out.
+
+    Args:
+        message: tf2_msgs/TFMessage.
+        parent: frame of the transform.
+        child: its child frame. Height, roll and pitch are passed over.
+    """
+    found = []
+    for entry in message.transforms:
+        frames = entry.header.frame_id.lstrip("/"), entry.child_frame_id.lstrip("/")
+        if frames != (parent, child):
+            continue
+        yaw = yaw_of(entry.transform.rotation)
+        x, y = (float(getattr(entry.transform.translation, axis)) for axis in "xy")
+        if yaw is not None and abs(x) < LARGEST_POSITION and abs(y) < LARGEST_POSITION:
+            found.append(Transform(stamp_ns(entry), np.array([x, y, yaw])))
+    return found
 
 
 def planar_pose(message: Any) -> FloatArray:

@@ -12,6 +12,7 @@ from fnn_ekf_ros.messages.names import (
     NOISE_FIELDS,
     NOISE_TYPE,
     ODOMETRY_TYPE,
+    TF_TYPE,
     TWIST_TYPE,
 )
 from fnn_ekf_ros.pipeline.events import Estimate, Status
@@ -114,6 +115,27 @@ def compass_message(stamp_ns: int, base_frame: str, yaw: float, yaw_std: float) 
             "linear_acceleration_covariance": unknown,
         },
     )
+
+
+def transform_message(stamp_ns: int, parent: str, child: str, pose: FloatArray) -> Message:
+    """Return the tf2_msgs/TFMessage of one planar transform.
+
+    Args:
+        stamp_ns: ROS time [ns].
+        parent: the frame that the pose is in.
+        child: the frame whose pose it is.
+        pose: `(3,)` [x, y, yaw] (m, m, rad).
+    """
+    x, y, yaw = (float(value) for value in pose)
+    transform = Message(
+        "geometry_msgs/msg/Transform",
+        {"translation": _vector(x, y, 0.0), "rotation": quaternion(yaw)},
+    )
+    stamped = Message(
+        "geometry_msgs/msg/TransformStamped",
+        {"header": header(stamp_ns, parent), "child_frame_id": child, "transform": transform},
+    )
+    return Message(TF_TYPE, {"transforms": [stamped]})
 
 
 def noise(estimate: Estimate) -> Message:

@@ -280,6 +280,13 @@ class LocalizerParameters(Parameters):
                 "parameter 'encoder_counts_per_revolution' is not set: expected a number greater "
                 "than 0 [counts]; set it to the counts per turn of the encoder"
             )
+        frames = [self.frame_id, self.base_frame]
+        if self.odom_frame != NO_FRAME:
+            frames.append(self.odom_frame)
+        if self.publish_tf and len(set(frames)) < len(frames):
+            raise refusal(
+                "publish_tf", True, f"frames of different names, not {', '.join(frames)}"
+            )  # fmt: skip
         if self.warm_start and self.state_file == NO_FILE:
             raise refusal("warm_start", True, "a state_file to start from")
         self._check_bounds("process_noise_std", self.process_noise_std)

@@ -25,6 +25,7 @@ from fnn_ekf_ros.ros.runtime import (
     ros_started,
     spin_until_stopped,
 )
+from fnn_ekf_ros.ros.transforms import Transforms
 
 from rclpy.node import Node  # isort: skip  (runtime explains it if ROS is not here)
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # isort: skip
@@ -53,6 +54,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
         declare(self, LocalizerParameters)
         self._settings = parameters
+        self._transforms = Transforms(self, parameters) if parameters.publish_tf else None
         self._memory = Memory(self, parameters)
         self.pipeline = Pipeline(parameters, network, warm_start=self._memory.warm_start)
         self._levels: dict[str, Level] = {}
@@ -124,10 +126,15 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 )
                 self._odom.publish(build_message(odometry))
                 self._noise.publish(build_message(messages.noise(output.estimate)))
+                if self._transforms is not None:
+                    self._transforms.located(output.estimate)
             if output.health is not None:
-                self._log_changes(output.health)
+                health = output.health
+                if self._transforms is not None:
+                    health = (*health, self._transforms.status())
+                self._log_changes(health)
                 name = self.get_fully_qualified_name().lstrip("/")
-                diagnostics = messages.diagnostics(output.stamp_ns, name, output.health)
+                diagnostics = messages.diagnostics(output.stamp_ns, name, health)
                 self._diagnostics.publish(build_message(diagnostics))
 
     def _log_refusal(self, topic: str, rejected: Rejected) -> None:
@@ -148,10 +155,14 @@ class LocalizerNode(Node):  # type: ignore[misc]
             changed = status.level != self._levels.get(status.name, Level.OK)
             if changed and self._may_log(f"{status.name} {status.level}"):
                 text = f"{status.name}: {status.message}"
+                log = self.get_logger()
+                # One call for each level: a logger refuses to change the level of a call.
                 if status.level is Level.OK:
-                    self.get_logger().info(text)
+                    log.info(text)
+                elif status.level is Level.WARN:
+                    log.warning(text)
                 else:
-                    self.get_logger().warning(text)
+                    log.error(text)
             self._levels[status.name] = status.level
 
     def _change(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:

@@ -1,11 +1,14 @@
 """Real nodes in processes of their own, on a ROS domain of their own."""
 
+import ctypes
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +195,39 @@ def bench(ros_environment: None) -> Iterator[Callable[..., Bench]]:
     yield make
     for each in opened:
         each.close()
+
+
+def reason_without_tf2_msgs() -> str:
+    """Return why tf2_msgs cannot be built here; empty if it can."""
+    if shutil.which("cmake") is None or not any(map(shutil.which, ("cc", "gcc", "clang"))):
+        return "no tf2_msgs, and no cmake and compiler to build it with"
+    if find_spec("ament_package") is None:
+        return "no tf2_msgs, and no requirements-tests.txt to build it with (make test)"
+    return ""
+
+
+@pytest.fixture(scope="session")
+def tf2_msgs() -> None:
+    """Makes tf2_msgs importable: built once, into build/, where no ROS installation has it."""
+    if find_spec("tf2_msgs") is not None:
+        return
+    folder = ROOT / "build" / "tf2_msgs"
+    installed = folder / "install"
+    if not installed.is_dir():
+        reason = reason_without_tf2_msgs()
+        if reason:
+            pytest.skip(reason)
+        made = subprocess.run(
+            [sys.executable, ROOT / "scripts" / "make_tf2_msgs.py", folder],
+            capture_output=True, text=True,
+        )  # fmt: skip
+        assert made.returncode == 0, made.stderr
+    (packages,) = installed.glob("lib/python*/site-packages")
+    libraries = installed / "lib"
+    sys.path.append(str(packages))
+    # The loader has read LD_LIBRARY_PATH already, but finds what is loaded.
+    for library in sorted(libraries.glob("*.so")):
+        ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
 
 
 @pytest.fixture
