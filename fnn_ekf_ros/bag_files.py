@@ -1,7 +1,6 @@
 """Reading and writing of rosbag2 recordings; the only module that knows rosbags."""
 
 import os
-import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple, Self
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import Message
+from fnn_ekf_ros.work_folders import WorkFolder
 
 try:
     from rosbags.interfaces import (
@@ -29,6 +29,8 @@ except ImportError as error:
         f"recordings need rosbags, which is not here ({error}): pip install 'rosbags>=0.11.9,<0.12'"
     ) from None
 
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+"""Every mcap file begins and ends with it."""
 STORAGES = ("mcap", "sqlite3")
 _TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 _ANY_TIME = QosTime(0, 0)
@@ -111,8 +113,17 @@ def _check_readable(path: Path) -> None:
     if not finished:
         raise BagError(
             f"bag '{path}' has no metadata.yaml: expected the folder of a finished rosbag2 "
-            "recording (of an unfinished one, give the .mcap or .db3 file or reindex it)"
+            "recording (of an unfinished one, give the .db3 file, or use `ros2 bag reindex`)"
         )
+
+
+def _breaks_off(path: Path) -> bool:
+    """Return whether a path is an mcap file that begins well and has no end."""
+    with suppress(OSError), path.open("rb") as file:
+        begin = file.read(len(_MCAP_MAGIC))
+        file.seek(-min(len(_MCAP_MAGIC), path.stat().st_size), os.SEEK_END)
+        return begin == _MCAP_MAGIC and file.read() != _MCAP_MAGIC
+    return False
 
 
 class BagReader:
@@ -206,6 +217,12 @@ class BagReader:
         self.close()
 
     def _broken(self, error: Exception) -> BagError:
+        if _breaks_off(self.path):
+            return BagError(
+                f"bag '{self.path}' breaks off after {self.path.stat().st_size / 1e6:.1f} MB, its "
+                "writer was ended before it was done: nothing of it can be read as it is; `mcap "
+                "recover` writes what is complete into a new file"
+            )
         return BagError(
             f"bag '{self.path}' cannot be read ({_reason(error)}): expected a complete rosbag2 "
             "recording in mcap or sqlite3"
@@ -287,16 +304,15 @@ class BagWriter:
 
     def __enter__(self) -> Self:
         """Open the bag in a hidden folder beside its place."""
-        # Named before it is made, so that no signal in between can leave it behind.
-        self._folder = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}")
+        self._work = WorkFolder(self.path)
         try:
-            self._folder.mkdir()
+            self._work.make()
             self._open()
         except Exception as error:  # the storages raise errors of many kinds
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._work.remove()
             raise self._broken(error) from None
         except BaseException:  # a signal
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._work.remove()
             raise
         return self
 
@@ -316,7 +332,7 @@ class BagWriter:
             self._writer.close()
             for result in self._results:
                 refuse_existing(result)
-                (self._folder / result.name).rename(result)
+                (self._work.path / result.name).rename(result)
                 placed.append(result)
         except Exception as failure:  # see above
             for result in placed:
@@ -325,15 +341,15 @@ class BagWriter:
                 raise
             raise self._broken(failure) from None
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._work.remove()
 
     def _open(self) -> None:
         if self._beside:
-            beside = self._folder / file_beside(self.path).name
+            beside = self._work.path / file_beside(self.path).name
             beside.write_text(self._beside, encoding="utf-8")
         mcap = self._storage == "mcap"
         plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-        self._writer = Writer(self._folder / self.path.name, version=9, storage_plugin=plugin)
+        self._writer = Writer(self._work.path / self.path.name, version=9, storage_plugin=plugin)
         if mcap:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         for key, text in self._notes.items():

@@ -1,10 +1,14 @@
 """Commands that are ended before they are done leave nothing behind."""
 
+import re
 import signal
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+from fnn_ekf_ros.bag_files import BagError, BagReader
 
 pytestmark = pytest.mark.live
 
@@ -21,3 +25,77 @@ def test_an_ended_command_leaves_nothing(
     assert started.wait(timeout=60.0) == code
     assert "Traceback" not in processes.output(started)
     assert not list(place.iterdir())
+
+
+def grown(place: Path, size: int) -> bool:
+    files = [file for kind in ("mcap", "db3") for file in place.glob(f".bag.????????/*/*.{kind}")]
+    return sum(file.stat().st_size for file in files) >= size
+
+
+@pytest.mark.parametrize(
+    ("storage", "size"),
+    [("mcap", 0), ("mcap", 1), ("mcap", 200_000), ("sqlite3", 1), ("sqlite3", 500_000)],
+)
+def test_a_killed_command_leaves_what_the_next_one_clears_away(
+    processes: Any,
+    patiently: Callable[..., None],
+    storage: str,
+    size: int,
+) -> None:
+    """The kill that no process can answer, at several moments of the writing."""
+    place = processes.folder / "place"
+    place.mkdir()
+    made = processes.run("simulate", place / "finished", "--duration", 5)
+    assert made.returncode == 0, made.stderr
+    before = {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
+
+    killed = processes.start("simulate", place / "bag", "--duration", 100000, "--storage", storage)
+    other = processes.start("simulate", place / "bag.other", "--duration", 100000)
+    patiently(lambda: any(place.glob(".bag.other.*")), "the other command")
+    patiently(lambda: any(place.glob(".bag.????????")) and grown(place, size), "the file to grow")
+    killed.send_signal(signal.SIGKILL)
+    assert killed.wait(timeout=60.0) == -signal.SIGKILL
+    (left,) = place.glob(".bag.????????")
+    assert not (place / "bag").exists()
+
+    again = processes.run("simulate", place / "bag", "--duration", 5)
+    assert again.returncode == 0
+    (line,) = again.stderr.splitlines()
+    assert re.fullmatch(
+        rf"removed '{re.escape(str(left))}': \d+\.\d MB of '{re.escape(str(place / 'bag'))}', "
+        "whose writer was killed before it was done",
+        line,
+    )
+    assert float(line.split(": ")[1].split()[0]) >= round(0.9 * size / 1e6, 1)
+    (others,) = place.glob(".bag.*")
+    assert others.name.startswith(".bag.other."), "the work of a living command is not touched"
+    other.send_signal(signal.SIGTERM)
+    assert other.wait(timeout=60.0) == 143
+    assert {file: file.read_bytes() for file in before} == before
+    expected = {"finished", "finished.yaml", "bag", "bag.yaml"}
+    assert {entry.name for entry in place.iterdir()} == expected
+    for name in ("finished", "bag"):
+        with BagReader(place / name) as bag:
+            assert sum(1 for _ in bag.records()) == bag.message_count > 100
+
+
+def test_what_a_killed_command_has_left_is_no_bag(
+    processes: Any, patiently: Callable[..., None]
+) -> None:
+    place = processes.folder / "place"
+    place.mkdir()
+    killed = processes.start("simulate", place / "bag", "--duration", 100000)
+    patiently(lambda: grown(place, 200_000), "the file to grow")
+    killed.send_signal(signal.SIGKILL)
+    killed.wait(timeout=60.0)
+    (file,) = place.glob(".bag.????????/**/*.mcap")
+    with pytest.raises(BagError) as caught:
+        BagReader(file)
+    assert re.fullmatch(
+        rf"bag '{re.escape(str(file))}' breaks off after \d+\.\d MB, its writer was ended before "
+        "it was done: nothing of it can be read as it is; `mcap recover` writes what is complete "
+        "into a new file",
+        str(caught.value),
+    )
+    with pytest.raises(BagError, match=r"has no metadata\.yaml"):
+        BagReader(file.parent)

@@ -36,7 +36,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "study": {"core", "membership", "parameters", "pipeline", "simulation"},
     "training": {"core", "membership", "parameters", "pipeline", "simulation", "study"},
     "saved_state": {"core", "errors", "parameters", "pipeline", "text_files", "yaml_text"},
-    "bag_files": {"errors", "messages"},
+    "work_folders": set(),
+    "bag_files": {"errors", "messages", "work_folders"},
     "tools": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
         "saved_state", "simulation", "study", "text_files", "training", "yaml_text",
