@@ -279,12 +279,15 @@ def _learn_all(
 ) -> tuple[JointState, FloatArray, FloatArray]:
     """Return the state with learners and weights moved, and the settled learner's u and alpha."""
     foreseen = teaches & (state.forecast_count >= 2.0)
-    of_forecast = star_evidence(_pick(forecast, slice(1, None)))
-    of_fast = star_evidence(_pick(seen, slice(1 + STAR_SIZE, 1 + 2 * STAR_SIZE)))
-    settled, explained, alpha = _learn(state, _SETTLED, sets, bounds, of_forecast, foreseen)
-    both, _, _ = _learn(settled, _FAST, sets, bounds, of_fast, teaches)
+    evidence = star_evidence(
+        _both(_pick(forecast, slice(1, None)), _pick(seen, slice(1 + STAR_SIZE, 1 + 2 * STAR_SIZE)))
+    )
+    learned, explained, alpha = _learn(
+        state, sets, bounds, evidence, np.stack([foreseen, teaches], axis=-1)
+    )
+    of_settled, of_fast = np.moveaxis(evidence.log_likelihood, -1, 0)
 
-    lead = log_likelihood(_pick(forecast, slice(0, 1)))[..., 0] - of_forecast.log_likelihood
+    lead = log_likelihood(_pick(forecast, slice(0, 1)))[..., 0] - of_settled
     w = state.start_weight
     w = w / (w + (1.0 - w) * np.exp(-np.clip(lead, -LARGEST_GAIN, LARGEST_GAIN)))
     w = (1.0 - SWITCHING_RATE) * w + SWITCHING_RATE * START_WEIGHT
@@ -295,58 +298,49 @@ def _learn_all(
     relative = np.exp(likelihood - best[..., None])
     calm = best + np.log(w * relative[..., 0] + (1.0 - w) * relative[..., 1])
     of_slip = log_likelihood(_pick(seen, slice(_FILTERS - 1, None)))[..., 0]
-    gained = np.stack([of_fast.log_likelihood, of_slip], axis=-1) - calm[..., None]
+    gained = np.stack([of_fast, of_slip], axis=-1) - calm[..., None]
     gained = np.clip(gained, -LARGEST_GAIN, LARGEST_GAIN)
     lead_now = np.minimum(ALARM_MEMORY * state.lead + gained, LONGEST_LEAD)
     lead_now = np.where(teaches[..., None], lead_now, state.lead)
-    return both._replace(start_weight=w, lead=lead_now), explained, alpha
+    learned = learned._replace(start_weight=w, lead=lead_now)
+    return learned, explained[..., _SETTLED, :], alpha[..., _SETTLED, :, :]
 
 
 def _learn(
     state: JointState,
-    learner: int,
     sets: FuzzySets,
     bounds: NoiseBounds,
     evidence: Evidence,
     teaches: BoolArray,
 ) -> tuple[JointState, FloatArray, FloatArray]:
-    """Return the state with one learner moved, its u `(..., 4)` and alpha `(..., 4, 3)`."""
-    N = state.memory[..., learner]
+    """Return the state with the learners moved, their u `(..., 2, 4)` and alpha `(..., 2, 4, 3)`.
+
+    Args:
+        state: before.
+        sets: the membership functions.
+        bounds: of the noise.
+        evidence: of both learners, with the axis `(..., 2)`.
+        teaches: `(..., 2)` whether each learns.
+    """
+    N = state.memory
     fade = (1.0 / N)[..., None, None]
-    before = state.information[..., learner, :, :]
-    information = (1.0 - fade) * before + evidence.information + fade * PRIOR_INFORMATION
+    information = (1.0 - fade) * state.information + evidence.information + fade * PRIOR_INFORMATION
     u = np.asarray(np.linalg.solve(information, evidence.score[..., None])[..., 0], np.float64)
     inference = infer(sets, -u)  # the sets' argument is the opposite of a mismatch
-    low, high = _log_limits(state, bounds)
-    theta = np.clip(state.log_scale[..., learner, :] + inference.change, low, high)
+    low, high = (limit[..., None, :] for limit in _log_limits(state, bounds))
+    theta = np.clip(state.log_scale + inference.change, low, high)
 
+    of_scale, of_matrix = teaches[..., None], teaches[..., None, None]
     after = state._replace(
-        log_scale=_with(state.log_scale, learner, theta, teaches[..., None]),
-        information=_with(
-            state.information, learner, information, teaches[..., None, None], axis=-3
-        ),
-        memory=_with(
-            state.memory,
-            learner,
-            np.minimum(N + MEMORY_GROWTH, LONGEST_MEMORY[learner]),
-            teaches,
-            axis=-1,
-        ),
+        log_scale=np.where(of_scale, theta, state.log_scale),
+        information=np.where(of_matrix, information, state.information),
+        memory=np.where(teaches, np.minimum(N + MEMORY_GROWTH, LONGEST_MEMORY), N),
     )
     return (
         after,
-        np.where(teaches[..., None], u, 0.0),
-        np.where(teaches[..., None, None], inference.firing_strength, 0.0),
+        np.where(of_scale, u, 0.0),
+        np.where(of_matrix, inference.firing_strength, 0.0),
     )
-
-
-def _with(
-    array: FloatArray, index: int, value: FloatArray, where: BoolArray, axis: int = -2
-) -> FloatArray:
-    """Return the array with the entries at `index` of the learners' axis replaced where told."""
-    parts = list(np.moveaxis(array, axis, 0))
-    parts[index] = np.where(where, value, parts[index])
-    return np.stack(parts, axis=axis)
 
 
 def _shift_forecasts(
@@ -406,6 +400,17 @@ def _log_limits(state: JointState, bounds: NoiseBounds) -> tuple[FloatArray, Flo
     low = [np.max(low_R[..., rows], axis=-1, keepdims=True) for rows in (position, yaw)]
     high = [np.min(high_R[..., rows], axis=-1, keepdims=True) for rows in (position, yaw)]
     return np.concatenate([low_Q, *low], axis=-1), np.concatenate([high_Q, *high], axis=-1)
+
+
+def _both(settled: Innovation, fast: Innovation) -> Innovation:
+    """Return the stars of both learners as one batch `(..., 2, 9)`."""
+    return Innovation(
+        np.stack([settled.innovation, fast.innovation], axis=-3),
+        np.stack([settled.innovation_covariance, fast.innovation_covariance], axis=-4),
+        np.stack([settled.kalman_gain, fast.kalman_gain], axis=-4),
+        np.stack([settled.nis, fast.nis], axis=-2),
+        np.stack([settled.degrees_of_freedom, fast.degrees_of_freedom], axis=-2),
+    )
 
 
 def _pick(seen: Innovation, filters: slice) -> Innovation:

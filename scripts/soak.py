@@ -1,0 +1,200 @@
+"""Ten simulated days in one run of the localizer's pipeline: does anything grow, drift or break?
+
+A robot drives figures of eight, with a rest now and then; its wheels slip, its sensors are noisy,
+its counters wrap, and once an hour something goes wrong: a wild fix, a compass that is silent, a
+robot that is carried. Every period is checked: the next multiple of the period, finite, positive
+definite. Prints a line a simulated day; ends with exit code 1 at the first thing that is wrong.
+"""
+
+import argparse
+import math
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD
+from fnn_ekf_ros.pipeline.configure import wheel_geometry
+from fnn_ekf_ros.pipeline.events import (
+    CompassYaw,
+    Estimate,
+    Event,
+    Output,
+    PoseFix,
+    Wheel,
+    WheelCount,
+)
+from fnn_ekf_ros.pipeline.pipeline import Pipeline
+from fnn_ekf_ros.tools.progress import with_progress
+
+SPEED, LAP_S, REST_S = 0.3, 40.0, 20.0
+"""Two laps, one to each side, make an eight; a rest follows (m/s, s, s)."""
+HOUR, DAY = 9600, 230400
+"""Periods of 375 ms."""
+WILD_AT, SILENT_AT, CARRIED_AT = 2000, 4000, 6000
+"""Periods of the hour at which something goes wrong."""
+SILENCE = 40
+TROUBLED = 60
+"""Periods after something went wrong that are not scored."""
+LARGEST_ERROR = 2.0
+"""No scored pose may be further off: twenty standard deviations of a fix [m]."""
+MOST_GROWTH_MB = 4.0
+"""Memory may grow by so much after the first day; it is looked at once an hour."""
+PARAMETERS = LocalizerParameters(
+    wheel_radius=0.025,
+    wheel_separation=0.6,
+    encoder_counts_per_revolution=500.0,
+    encoder_bits=16,
+)
+PERIOD_NS = round(PARAMETERS.period * 1e9)
+
+
+class Robot:
+    """The simulated robot, a period at a time."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._metres_per_count = wheel_geometry(PARAMETERS).metres_per_count
+        self._travel = np.zeros(2)
+        self.pose = np.zeros(3)
+
+    def move(self, period: int) -> None:
+        """Drive, or rest, for a period."""
+        at = period * PARAMETERS.period % (2.0 * LAP_S + REST_S)
+        if at >= 2.0 * LAP_S:
+            return
+        turn = 2.0 * math.pi / LAP_S * (1.0 if at < LAP_S else -1.0)
+        control = np.array([SPEED, turn]) * PARAMETERS.period
+        half = 0.5 * PARAMETERS.wheel_separation * control[1]
+        self._travel = self._travel + np.array([control[0] - half, control[0] + half])
+        slip = np.asarray(SIMULATION_2_STD) * self._rng.standard_normal(2)
+        self.pose = self.pose + displacement(
+            MotionModel(PARAMETERS.motion_model), self.pose[2], control + slip
+        )
+        self.pose[2] = wrap_angle(self.pose[2])
+
+    def events(self, period: int) -> list[Event]:
+        """Return what the sensors say at the end of a period, the encoders last."""
+        stamp_ns = period * PERIOD_NS
+        z = self.pose + np.asarray(MEASUREMENT_STD) * self._rng.standard_normal(3)
+        if period % HOUR == WILD_AT:
+            z[0] += 20.0
+        events: list[Event] = [PoseFix(stamp_ns, z, np.zeros((3, 3)))]
+        if not SILENT_AT <= period % HOUR < SILENT_AT + SILENCE:
+            events.append(CompassYaw(stamp_ns, float(z[2])))
+        counts = np.floor(self._travel / self._metres_per_count)
+        modulus = 2**PARAMETERS.encoder_bits
+        return events + [
+            WheelCount(stamp_ns, wheel, int(counts[wheel]) % modulus) for wheel in Wheel
+        ]
+
+
+def fault_in(estimate: Estimate, previous_ns: int | None) -> str:
+    """Return what is wrong with an estimate; empty for nothing."""
+    state = estimate.state
+    if previous_ns is not None and estimate.stamp_ns != previous_ns + PERIOD_NS:
+        return f"{(estimate.stamp_ns - previous_ns) * 1e-9:g} s after the one before"
+    if estimate.stamp_ns % PERIOD_NS:
+        return "no multiple of the period"
+    if not np.all(np.isfinite(np.concatenate([state.mean, estimate.twist]))):
+        return f"pose {state.mean}, twist {estimate.twist}"
+    noise = np.concatenate([state.process_noise, state.measurement_noise])
+    if not (np.all(np.isfinite(noise)) and np.all(noise > 0.0)):
+        return f"noise {noise}"
+    if not np.linalg.eigvalsh(state.covariance)[0] > 0.0:
+        return f"covariance {state.covariance.tolist()}"
+    return ""
+
+
+def memory_mb() -> float:
+    """Return the resident memory of this process [MB]."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * 4096 / 1e6
+
+
+class Soak:
+    """The run: the robot, the pipeline, and what has been seen so far."""
+
+    def __init__(self, seed: int) -> None:
+        self._robot = Robot(seed)
+        self._pipeline = Pipeline(PARAMETERS, network_for(PARAMETERS))
+        self._previous_ns: int | None = None
+        self._squares: list[float] = []
+        self._levels: Counter[str] = Counter()
+        self.estimates = 0
+
+    def period(self, period: int) -> None:
+        """Run a period; raises RuntimeError if something is wrong."""
+        self._robot.move(period)
+        if period % HOUR == CARRIED_AT:
+            self._robot.pose = self._robot.pose + np.array([20.0, 0.0, 0.0])
+        for event in self._robot.events(period):
+            self._look_at(period, self._pipeline.add(event, period * PERIOD_NS))
+
+    def _look_at(self, period: int, outputs: Sequence[Output]) -> None:
+        for output in outputs:
+            for status in output.health or ():
+                if status.level > 0:
+                    self._levels[f"{status.name} {status.level.name}"] += 1
+            if output.estimate is None:
+                continue
+            wrong = fault_in(output.estimate, self._previous_ns)
+            if wrong:
+                raise RuntimeError(f"period {period}: {wrong}")
+            self._previous_ns = output.stamp_ns
+            self.estimates += 1
+            error = output.estimate.state.mean[:2] - self._robot.pose[:2]
+            if period > TROUBLED and not CARRIED_AT <= period % HOUR < CARRIED_AT + TROUBLED:
+                self._squares.append(float(error @ error))
+                if self._squares[-1] > LARGEST_ERROR**2:
+                    raise RuntimeError(f"period {period}: off by {math.sqrt(self._squares[-1])} m")
+
+    def report(self, day: int, took_s: float) -> str:
+        """Return the line of a day that is over, and begin the next one's."""
+        rmse = math.sqrt(sum(self._squares) / max(len(self._squares), 1))
+        said = ", ".join(f"{name} {count}" for name, count in sorted(self._levels.items()))
+        self._squares.clear()
+        self._levels.clear()
+        return (
+            f"day {day}: {self.estimates} odom so far, position RMSE {rmse:.4f} m, "
+            f"{memory_mb():.1f} MB, {took_s / 60.0:.1f} min; reports not OK: {said or 'none'}"
+        )
+
+
+def main() -> int:
+    """Run; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--days", type=float, default=10.0, help="simulated days (10)")
+    parser.add_argument("--seed", type=int, default=1, help="of everything random (1)")
+    arguments = parser.parse_args()
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    soak, began, settled_mb = Soak(arguments.seed), time.monotonic(), 0.0
+    periods = round(arguments.days * DAY)
+    try:
+        for period in with_progress(range(1, periods + 1), periods, "soak"):
+            soak.period(period)
+            if period == min(DAY, periods // 2):
+                settled_mb = memory_mb()
+            if settled_mb and period % HOUR == 0 and memory_mb() > settled_mb + MOST_GROWTH_MB:
+                raise RuntimeError(f"memory grew from {settled_mb:.1f} to {memory_mb():.1f} MB")
+            if period % DAY == 0 or period == periods:
+                print(soak.report(-(-period // DAY), time.monotonic() - began))
+    except RuntimeError as error:
+        print(f"soak: {error}", file=sys.stderr)
+        return 1
+    print(
+        f"soak: {arguments.days:g} simulated days, {soak.estimates} odom, every {PERIOD_NS / 1e6:g}"
+        f" ms one; memory {settled_mb:.1f} MB after the first day, {memory_mb():.1f} MB at the end"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
