@@ -1,6 +1,7 @@
 # make demo: a recorded bag through the live localizer, a table and a picture.
 # make test: lint, types, unit, property and integration tests, colcon build and colcon test.
-# Both set up .venv first, with pinned versions; nothing else is installed.
+# make soak: ten simulated days in one run, about an hour; not part of make test.
+# All set up .venv first, with pinned versions; nothing else is installed.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -12,7 +13,7 @@ COLCON_PATHS := --build-base build/colcon --install-base build/install
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint soak clean
 
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
@@ -22,6 +23,9 @@ test: $(VENV)/.installed-tests lint
 	$(COLCON) test --paths . $(COLCON_PATHS) --return-code-on-test-failure \
 	  --event-handlers console_direct+
 	$(COLCON) test-result --test-result-base build/colcon --verbose
+
+soak: $(VENV)/.installed
+	$(BIN)/python scripts/soak.py
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
