@@ -4,10 +4,9 @@ Every fault is a stage. What a stage lets through enters the next one in the sam
 fault is on is asked when a message enters its stage.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from fnn_ekf_ros.simulation.robot import STEP_S
 from fnn_ekf_ros.simulation.spoiling import SPOILERS, spoiled, with_stamp
 
 STEP_NS = round(STEP_S * 1e9)
+FaultT = TypeVar("FaultT", bound=Fault)
 
 
 class Sent(NamedTuple):
@@ -39,7 +39,7 @@ def step_at(time_s: float) -> int:
     return -(-round(time_s * 1e9) // STEP_NS)
 
 
-class Stage:
+class Stage(Generic[FaultT]):
     """A fault of a topic's messages.
 
     Args:
@@ -47,11 +47,12 @@ class Stage:
         rng: of its own, so that nothing else of the run depends on it.
     """
 
-    def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
+    def __init__(self, fault: FaultT, rng: np.random.Generator) -> None:
         (self._topic,) = fault.targets()
         self._first, self._end = step_at(fault.start), step_at(fault.end)
         self._rate = float(getattr(fault, "rate", 1.0))
-        self._fault, self._rng = fault, rng
+        self._fault: FaultT = fault
+        self._rng = rng
 
     def passed(self, step: int, entering: Iterable[Sent]) -> Iterator[Sent]:
         """Yield what leaves the stage in a step, of what enters it or is held back in it."""
@@ -75,12 +76,12 @@ class Stage:
         raise NotImplementedError
 
 
-class _Spoiling(Stage):
+class _Spoiling(Stage[Fault]):
     def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
         return (sent._replace(message=spoiled(self._fault, sent.message, self._rng)),)
 
 
-class _Freezing(Stage):
+class _Freezing(Stage[Frozen]):
     _last: Message | None = None
 
     def _healthy(self, sent: Sent) -> Iterable[Sent]:
@@ -95,20 +96,20 @@ class _Freezing(Stage):
         return (sent._replace(message=frozen),)
 
 
-class _Losing(Stage):
+class _Losing(Stage[Dropout]):
     def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
         return ()
 
 
-class _Doubling(Stage):
+class _Doubling(Stage[Duplicates]):
     def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
         return (sent, sent)
 
 
-class _Delaying(Stage):
-    def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
+class _Delaying(Stage[Delay]):
+    def __init__(self, fault: Delay, rng: np.random.Generator) -> None:
         super().__init__(fault, rng)
-        self._late = step_at(float(getattr(fault, "size", math.inf)))
+        self._late = step_at(fault.size)
         self._held: deque[tuple[int, Sent]] = deque()
 
     def _released(self, step: int, on: bool) -> Iterable[Sent]:  # noqa: ARG002
@@ -122,8 +123,8 @@ class _Delaying(Stage):
         return ()
 
 
-class _Holding(Stage):
-    def __init__(self, fault: Fault, rng: np.random.Generator) -> None:
+class _Holding(Stage[Burst | Reordered]):
+    def __init__(self, fault: Burst | Reordered, rng: np.random.Generator) -> None:
         super().__init__(fault, rng)
         self._held: list[Sent] = []
 
@@ -144,21 +145,23 @@ class _Swapping(_Holding):
         return (sent, self._held.pop())
 
 
-_STAGES: dict[type[Fault], type[Stage]] = {
-    **dict.fromkeys(SPOILERS, _Spoiling),
-    Frozen: _Freezing,
-    Dropout: _Losing,
-    Duplicates: _Doubling,
-    Delay: _Delaying,
-    Burst: _Holding,
-    Reordered: _Swapping,
-}
+_STAGES: tuple[dict[type[Fault], type[Stage[Any]]], ...] = (
+    {**dict.fromkeys(SPOILERS, _Spoiling), Frozen: _Freezing},
+    {
+        Dropout: _Losing,
+        Duplicates: _Doubling,
+        Delay: _Delaying,
+        Burst: _Holding,
+        Reordered: _Swapping,
+    },
+)
+"""First what is measured, then when it is sent."""
 
 
 class Delivery:
     """All stages between the sensors and whoever listens.
 
-    What is measured goes wrong before its delivery does, whatever the order of the faults.
+    What is measured goes wrong before its delivery does; otherwise in the order of the faults.
 
     Args:
         faults: of any kind; those that are no stages are passed over.
@@ -166,13 +169,12 @@ class Delivery:
     """
 
     def __init__(self, faults: Sequence[Fault], rngs: Sequence[np.random.Generator]) -> None:
-        order = list(_STAGES)
-        stages = [
-            (order.index(type(fault)) >= order.index(Dropout), _STAGES[type(fault)](fault, rng))
+        self._stages = [
+            kinds[type(fault)](fault, rng)
+            for kinds in _STAGES
             for fault, rng in zip(faults, rngs, strict=True)
-            if type(fault) in _STAGES
+            if type(fault) in kinds
         ]
-        self._stages = [stage for _, stage in sorted(stages, key=lambda entry: entry[0])]
 
     def sent(self, step: int, measured: Iterable[Sent]) -> list[Sent]:
         """Return what is sent in a step of what is measured in it and what was held back."""

@@ -11,7 +11,7 @@ from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import WHEELS, Fault
 from fnn_ekf_ros.simulation.delivery import STEP_NS, Delivery, Sent
-from fnn_ekf_ros.simulation.faults import Encoder, Timeline
+from fnn_ekf_ros.simulation.faults import Encoder, Schedule
 from fnn_ekf_ros.simulation.paths import scripted_path
 from fnn_ekf_ros.simulation.robot import (
     advance,
@@ -62,12 +62,12 @@ class FakeRobot:
         self._robot = at_rest(np.zeros(3) if self._path is None else self._path.start())
         self._command = np.zeros(2)
         self._steps_driven, self._clock_error_ns = 0, 0
-        self._timeline = Timeline(faults)
+        self._schedule = Schedule(faults)
         rngs = [np.random.default_rng(seed) for seed in fault_seed.spawn(len(faults))]
         self._delivery = Delivery(faults, rngs)
         counts = (parameters.left_start_count, parameters.right_start_count)
         self._encoders = [
-            Encoder(wheel, count, self._timeline)
+            Encoder(wheel, count, self._schedule)
             for wheel, count in zip(WHEELS, counts, strict=True)
         ]
 
@@ -82,7 +82,7 @@ class FakeRobot:
 
         The same as `time_ns` but for a fault `clock_jump`.
         """
-        return self.time_ns + self._clock_error_ns
+        return max(self.time_ns + self._clock_error_ns, 0)
 
     def jump_to(self, time_ns: int) -> None:
         """Set the time without moving the robot [ns]."""
@@ -95,17 +95,17 @@ class FakeRobot:
     def step(self) -> list[Sent]:
         """Move on by one step and return what is sent at its end, in order."""
         self._steps_driven += 1
-        now, timeline = self._steps_driven, self._timeline
+        now, schedule = self._steps_driven, self._schedule
         command = self._command
         if self._path is not None:
             self._robot, command = follow(self._path, self._robot, self.parameters.speed)
         driven = advance(
             self.parameters, self._robot, command, self._drive_rng,
-            timeline.radius_factors(now), timeline.slip_std(now, self.parameters.slip()),
+            schedule.radius_factors(now), schedule.slip_std(now, self.parameters.slip()),
         )  # fmt: skip
-        self._robot = timeline.carried(now, driven)
+        self._robot = schedule.carried(now, driven)
         self._step += 1
-        self._set_clock(timeline.clock_jump_ns(now))
+        self._set_clock(schedule.clock_jump_ns(now))
         return self._delivery.sent(now, self._measured(command))
 
     def _set_clock(self, jump_ns: int) -> None:
@@ -135,14 +135,15 @@ class FakeRobot:
             if reading.heard:
                 data = {"data": _wrapped(reading.ticks, p.encoder_bits)}
                 yield Sent(topic, Message(messages.TICKS_TYPE, data))
-        joints = {
-            joint: reading.turned
+        joints = [
+            (joint, reading.turned)
             for joint, reading in zip((p.left_joint, p.right_joint), readings, strict=True)
             if reading.heard
-        }
+        ]
         if joints:
-            counts = np.array(list(joints.values()), dtype=np.float64)
-            yield Sent(messages.JOINT_STATES, self._joint_states(list(joints), counts))
+            names, turned = zip(*joints, strict=True)
+            counts = np.array(turned, dtype=np.float64)
+            yield Sent(messages.JOINT_STATES, self._joint_states(list(names), counts))
 
     def _truth(self, command: FloatArray) -> Message:
         p = self.parameters
@@ -153,13 +154,13 @@ class FakeRobot:
 
     def _compass(self) -> Message:
         std = self.parameters.compass_std
-        noise = std * self._timeline.noise_factor(self._steps_driven, messages.COMPASS)
+        noise = std * self._schedule.noise_factor(self._steps_driven, messages.COMPASS)
         yaw = float(self._robot.pose[2]) + noise * self._sensor_rng.standard_normal()
         return messages.compass_message(self.stamp_ns, self.parameters.base_frame, yaw, std)
 
     def _lrf_pose(self) -> Message:
         std = np.asarray(self.parameters.lrf_std)
-        noise = std * self._timeline.noise_factor(self._steps_driven, messages.LRF_POSE)
+        noise = std * self._schedule.noise_factor(self._steps_driven, messages.LRF_POSE)
         pose = self._robot.pose + noise * self._sensor_rng.standard_normal(3)
         variances = np.maximum(std**2, messages.UNUSED_VARIANCE)
         return Message(

@@ -35,7 +35,7 @@ class _Timed(NamedTuple):
     end: int
 
 
-class Timeline:
+class Schedule:
     """The faults of a run by the robot's steps since its start; the first is step 1.
 
     Args:
@@ -111,25 +111,25 @@ class Encoder:
     Args:
         wheel: `left` or `right`.
         start_count: the counter at the start.
-        timeline: what goes wrong.
+        schedule: what goes wrong.
     """
 
-    def __init__(self, wheel: str, start_count: int, timeline: Timeline) -> None:
-        self._wheel, self._timeline = wheel, timeline
+    def __init__(self, wheel: str, start_count: int, schedule: Schedule) -> None:
+        self._wheel, self._schedule = wheel, schedule
         self._ticks, self._turned = start_count, 0
         self._true_count, self._step = 0, 0
 
     def read(self, step: int, true_count: int) -> Reading:
         """Return the reading in a step, from the true count since the start."""
-        if not self._mine(self._timeline.on(StuckWheel, step)):
+        if not self._mine(self._schedule.on(StuckWheel, step)):
             self._ticks += true_count - self._true_count
             self._turned += true_count - self._true_count
-        for reset in self._mine(self._timeline.beginning(TickReset, self._step, step)):
+        for reset in self._mine(self._schedule.beginning(TickReset, self._step, step)):
             self._ticks = self._turned = reset.count
-        glitches = self._mine(self._timeline.beginning(TickGlitch, self._step, step))
+        glitches = self._mine(self._schedule.beginning(TickGlitch, self._step, step))
         wrong = sum(glitch.size for glitch in glitches)
         self._true_count, self._step = true_count, step
-        heard = not self._mine(self._timeline.on(SilentWheel, step))
+        heard = not self._mine(self._schedule.on(SilentWheel, step))
         return Reading(self._ticks + wrong, self._turned + wrong, heard)
 
     def _mine(self, faults: list[FaultT]) -> list[FaultT]:

@@ -208,6 +208,12 @@ def test_joint_states_say_the_same_as_the_counters() -> None:
     np.testing.assert_allclose(positions, expected, atol=1e-12)
 
 
+def test_joints_of_one_name_are_two_joints() -> None:
+    sent = [entry for _, entry in sent_by(1.0, left_joint="j", right_joint="j")]
+    joints = [s.message.fields for s in sent if s.topic == "joint_states"]
+    assert {(*fields["name"], len(fields["position"])) for fields in joints} == {("j", "j", 2)}
+
+
 def test_counts_are_within_one_of_the_truth() -> None:
     """Dead reckoning over the counts of a straight way, without slip."""
     parameters = FakeRobotParameters(slip_std=(0.0, 0.0), wheel_speed_error=0.05)

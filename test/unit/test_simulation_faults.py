@@ -176,6 +176,30 @@ def test_other_topics_and_other_times_are_as_without_the_fault(fault: Any) -> No
 
 @pytest.mark.parametrize(
     "fault",
+    [
+        StuckWheel(wheel="left", **LASTING),
+        SilentWheel(wheel="left", **LASTING),
+        TickReset(start=4.0, wheel="left"),
+        TickGlitch(start=4.0, wheel="left"),
+    ],
+    ids=lambda fault: type(fault).__name__,
+)
+def test_faults_of_a_wheel_leave_all_else_as_it_is(fault: Fault) -> None:
+    without, with_it = drive(9.0), drive(9.0, [fault])
+    assert same(
+        *[
+            [e for e in run if e.time < 4.0 or e.topic not in ("left_ticks", "joint_states")]
+            for run in (without, with_it)
+        ]
+    )
+    right = [[e.fields["position"][-1] for e in on(r, "joint_states")] for r in (without, with_it)]
+    assert right[0] == right[1]
+    for topic in ("left_ticks", "joint_states"):
+        assert not same(on(without, topic), on(with_it, topic))
+
+
+@pytest.mark.parametrize(
+    "fault",
     [Slip(start=4.0), UnequalWheels(start=4.0, wheel="left"), Kidnap(start=4.0, move=(1, 2, 0.5))],
     ids=lambda fault: type(fault).__name__,
 )
@@ -199,6 +223,13 @@ def test_a_further_fault_leaves_the_draws_of_the_others() -> None:
     two = drive(20.0, [first, Outliers(start=0.0, topic="compass", size=1.0, rate=0.5)])
     assert same(on(one, "lrf_pose"), on(two, "lrf_pose"))
     assert not same(on(one, "compass"), on(two, "compass"))
+
+
+def test_no_two_faults_draw_the_same() -> None:
+    faults = [Dropout(start=0.0, topic=topic, rate=0.5) for topic in COUNTERS]
+    heard = drive(20.0, faults)
+    left, right = ({e.time for e in on(heard, topic)} for topic in COUNTERS)
+    assert len(left & right) < 0.75 * min(len(left), len(right))
 
 
 # The robot.
@@ -263,6 +294,28 @@ def test_a_kidnapped_robot_is_elsewhere_at_once_and_its_driver_brings_it_back() 
     square = np.array([pose(e)[:2] for e in truth[1][-10:]])
     outside = np.maximum(np.abs(square - 1.5) - 1.5, 0.0)
     assert np.max(outside) < 0.3  # back on the square of 3 m
+
+
+def test_the_yaw_of_a_kidnapped_robot_is_wrapped() -> None:
+    truth = on(drive(5.0, [Kidnap(start=4.0, move=(0.0, 0.0, 5.0))], **QUIET), "ground_truth")
+    moved = next(e for e in truth if e.time >= 4.0)
+    assert pose(moved)[2] == pytest.approx(5.0 - math.tau, abs=1e-6)
+
+
+def test_what_happens_once_at_the_start_happens() -> None:
+    heard = drive(
+        1.0,
+        [
+            Kidnap(start=0.0, move=(7.0, 0.0, 0.0)),
+            TickReset(start=0.0, wheel="left", count=500),
+            TickGlitch(start=0.0, wheel="right", size=9000),
+            ClockJump(start=0.0, size=60.0),
+        ],
+    )
+    assert pose(on(heard, "ground_truth")[0])[0] > 6.9
+    assert counts(heard)[0] == 500
+    assert counts(heard, "right_ticks")[0] >= 9000 > max(counts(heard, "right_ticks")[1:])
+    assert on(heard, "compass")[0].stamp > 60.0
 
 
 # The encoders.
@@ -478,6 +531,19 @@ def test_a_stamp_is_never_before_time_zero() -> None:
     assert wrong.fields["header"].fields["stamp"].fields == {"sec": 0, "nanosec": 0}
 
 
+@pytest.mark.parametrize(
+    "fault",
+    [WrongStamp(start=0.0, topic="compass", size=1e9), ClockJump(start=0.0, size=1e9)],
+    ids=lambda fault: type(fault).__name__,
+)
+def test_seconds_of_a_stamp_fit_their_32_bits(fault: Fault) -> None:
+    robot = FakeRobot(FakeRobotParameters(), 1_790_000_000 * 10**9, [fault])
+    sent = [entry for _ in range(80) for entry in robot.step() if entry.topic == "compass"]
+    seconds = [entry.message.fields["header"].fields["stamp"].fields["sec"] for entry in sent]
+    assert min(seconds) == 2_100_000_000
+    assert max(seconds) <= 2_100_000_001
+
+
 @pytest.mark.parametrize("variance", [0.0, -1.0])
 def test_a_bad_covariance_has_the_variance_on_its_diagonal(variance: float) -> None:
     fix, *_ = faulty_and_true(BadCovariance(topic="lrf_pose", variance=variance, **LASTING))[0]
@@ -598,6 +664,8 @@ def test_the_robots_clock_jumps_and_its_time_does_not() -> None:
     assert errors[:79] == [0] * 79
     assert errors[79:159] == [10 * 10**9] * 80
     assert errors[159:] == [-(START_NS + 160 * STEP_NS)] * 81  # to time 0, and on from there
+    robot.jump_to(0)
+    assert robot.stamp_ns == 0
 
 
 def test_time_that_is_set_from_outside_moves_no_fault() -> None:
