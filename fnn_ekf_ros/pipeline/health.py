@@ -2,10 +2,15 @@
 
 | status | WARN | ERROR |
 | --- | --- | --- |
-| encoders | periods closed without both wheels; messages refused | none, or not for `STALE_NS` |
-| compass, lrf_pose | none, or not for `STALE_NS`; messages refused | |
-| filter | waits for its start | |
-| time | late messages were dropped, or the clock jumped | |
+| encoders | periods closed without both wheels; messages refused; a wheel jumped further than \
+`max_wheel_speed` allows for the time between two readings and 0.1 s (ticks) or 0.02 s \
+(joint_states) | none, or not for 3 s, from one wheel or both; a wheel is stuck: unchanged for 3 s \
+or longer while the other one turned the robot by 0.5 rad or more, where the filter's turn is off \
+the wheels' by more than 5 standard deviations and by more than half |
+| compass, lrf_pose | none, or not for 3 s; messages refused | |
+| filter | waits for its start; a period failed and was predicted by the wheels alone, or the \
+filter had to start anew | |
+| time | messages were dropped as too late or stamped more than 1 s ahead; the clock jumped | |
 """
 
 from collections import Counter
@@ -16,21 +21,22 @@ from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.filter import FilterState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.belief import Values, belief_in_words
+from fnn_ekf_ros.pipeline.encoder_health import STALE_NS, EncoderHealth
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Estimate,
     Event,
     Level,
     PoseFix,
+    PoseReset,
     Rejected,
     Sensor,
     Status,
     WheelCount,
 )
+from fnn_ekf_ros.pipeline.inputs import Addition, Counts
 from fnn_ekf_ros.pipeline.start import Waiting
-
-STALE_NS = 3 * 10**9
-"""A sensor that has been silent for longer is called stale [ns]."""
+from fnn_ekf_ros.pipeline.time_health import TimeHealth
 
 
 class Health:
@@ -46,20 +52,30 @@ class Health:
         self._received: Counter[Sensor] = Counter()
         self._refused: Counter[Sensor] = Counter()
         self._new_refusal: dict[Sensor, str] = {}
-        self._timeouts = self._new_timeouts = 0
-        self._dropped = self._redone = self._restarts = 0
-        self._new_time_trouble = ""
+        self._encoders = EncoderHealth(parameters)
+        self._time = TimeHealth()
+        self._failed_ns: set[int] = set()
+        self._new_failure = ""
 
     def changed(self, parameters: LocalizerParameters) -> None:
         """Go on with other parameters."""
         self._parameters = parameters
 
-    def saw(self, event: Event) -> None:
-        """Count an event that was taken in."""
+    def took(self, event: Event, addition: Addition) -> None:
+        """Count an event that was taken in, and what it changed."""
+        if addition.changed_ns is None:
+            self._time.repeated()
+            return
+        if addition.out_of_order:
+            self._time.out_of_order()
         sensor = _sensor_of(event)
         if sensor is not None:
             self._received[sensor] += 1
             self._last_ns[sensor] = max(event.stamp_ns, self._last_ns.get(sensor, 0))
+        if isinstance(event, WheelCount):
+            self._encoders.saw(event, addition.jump_m)
+        elif isinstance(event, PoseReset):
+            self._encoders.pose_was_set(event.stamp_ns)
 
     def rejected(self, rejected: Rejected) -> None:
         """Count a message that was refused for what it says."""
@@ -68,25 +84,37 @@ class Health:
 
     def dropped(self, event: Event, reason: str) -> None:
         """Count an event that was refused for its stamp."""
-        self._dropped += 1
-        name = _sensor_of(event) or "initialpose"
-        self._new_time_trouble = f"{name} {reason}"
+        self._time.dropped(_sensor_of(event) or "initialpose", reason)
 
     def redone(self, periods: int) -> None:
         """Count the periods that were run again for late inputs."""
-        self._redone += periods
+        self._time.redone(periods)
 
     def restarted(self, reason: str, from_ns: int, to_ns: int) -> None:
         """Count a restart by a jump of the clock, after which every stamp begins anew."""
-        self._restarts += 1
         self._last_ns.clear()
-        self._new_time_trouble = f"{reason} from {from_ns * 1e-9:.3f} s to {to_ns * 1e-9:.3f} s"
+        self._encoders.restarted()
+        self._time.restarted(reason, from_ns, to_ns)
 
-    def closed(self, complete: bool) -> None:
-        """Count a period; `complete` if both wheels were known up to its end."""
-        if not complete:
-            self._timeouts += 1
-            self._new_timeouts += 1
+    def failed(self, end_ns: int, reason: str, *, restarts: bool) -> None:
+        """Count a period that left the finite numbers; once if it is run again."""
+        if end_ns not in self._failed_ns or restarts:
+            what = "the filter starts anew" if restarts else "its measurements are left out"
+            self._new_failure = f"the period until {end_ns * 1e-9:.3f} s failed ({reason}): {what}"
+        self._failed_ns.add(end_ns)
+
+    def closed(
+        self, end_ns: int, complete: bool, counts: Counts | None, estimate: Estimate | None
+    ) -> None:
+        """Count a period.
+
+        Args:
+            end_ns: its end [ns].
+            complete: whether both wheels were known up to there.
+            counts: what they had counted there.
+            estimate: what came of it.
+        """
+        self._encoders.closed(end_ns, complete, counts, estimate)
 
     def report(
         self,
@@ -97,26 +125,19 @@ class Health:
     ) -> tuple[Status, ...]:
         """Return the statuses; what is new since the last report decides their levels."""
         statuses = (
-            self._encoders(now_ns),
+            self._encoders.status(
+                self._sensor(Sensor.ENCODERS, now_ns, expected=True),
+                now_ns,
+                refused=Sensor.ENCODERS in self._new_refusal,
+            ),
             self._sensor(Sensor.COMPASS, now_ns, expected=not self._parameters.lrf_use_yaw),
             self._sensor(Sensor.LRF_POSE, now_ns, expected=True),
             self._filter(state, estimate, mode),
-            self._time(),
+            self._time.status(),
         )
         self._new_refusal.clear()
-        self._new_timeouts = 0
-        self._new_time_trouble = ""
+        self._new_failure = ""
         return statuses
-
-    def _encoders(self, now_ns: int) -> Status:
-        status = self._sensor(Sensor.ENCODERS, now_ns, expected=True)
-        values = (*status.values, ("periods closed without both wheels", str(self._timeouts)))
-        if status.level is Level.WARN and Sensor.ENCODERS not in self._new_refusal:
-            return status._replace(level=Level.ERROR, values=values)
-        if status.level is Level.OK and self._new_timeouts:
-            message = f"{self._new_timeouts} periods closed without both wheels"
-            return status._replace(level=Level.WARN, message=message, values=values)
-        return status._replace(values=values)
 
     def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
         last_ns = self._last_ns.get(sensor)
@@ -143,16 +164,10 @@ class Health:
             ("adaptation", asked if mode == asked else f"{asked}, disabled"),
             ("process noise std [m, rad]", _stds(state.process_noise)),
             ("measurement noise std [m, m, rad, rad]", _stds(state.measurement_noise)),
+            ("periods that failed", str(len(self._failed_ns))),
         )
         if isinstance(state, Waiting):
-            missing = [
-                name
-                for name, value in (("position", state.position), ("yaw", state.yaw))
-                if value is None
-            ]
-            if Sensor.ENCODERS not in self._last_ns:
-                missing.insert(0, "wheel counts")
-            message = f"waiting for the first {' and '.join(missing)}"
+            message = self._new_failure or f"waiting for the first {self._missing(state)}"
             return Status("filter", Level.WARN, message, values)
         values += (("position std [m]", f"{_position_std(state):.3g}"),)
         if estimate is not None and estimate.result is not None:
@@ -163,17 +178,19 @@ class Health:
             )
             if result.joint is not None:
                 values += belief_in_words(result.joint)
+        if self._new_failure:
+            return Status("filter", Level.WARN, self._new_failure, values)
         return Status("filter", Level.OK, "running", values)
 
-    def _time(self) -> Status:
-        values = (
-            ("dropped", str(self._dropped)),
-            ("periods run again for late inputs", str(self._redone)),
-            ("restarts", str(self._restarts)),
-        )
-        if self._new_time_trouble:
-            return Status("time", Level.WARN, self._new_time_trouble, values)
-        return Status("time", Level.OK, "in order", values)
+    def _missing(self, waiting: Waiting) -> str:
+        missing = [] if Sensor.ENCODERS in self._last_ns else ["wheel counts"]
+        if waiting.given_pose is None:
+            missing += [
+                name
+                for name, value in (("position", waiting.position), ("yaw", waiting.yaw))
+                if value is None
+            ]
+        return " and ".join(missing) or "period of both wheels"
 
 
 def _sensor_of(event: Event) -> Sensor | None:

@@ -1,6 +1,7 @@
 """The buffers of what has arrived, and what one period finds in them."""
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -24,10 +25,24 @@ EventT = TypeVar("EventT", CompassYaw, PoseFix, PoseReset)
 
 
 class Counts(NamedTuple):
-    """Counts of both wheels at one instant, as far as the wheels are known."""
+    """Counts of both wheels at one instant, as far as they are known; None before the first."""
 
-    left: float
-    right: float
+    left: float | None = None
+    right: float | None = None
+
+
+class Addition(NamedTuple):
+    """What an event changed.
+
+    Attributes:
+        changed_ns: from when on the past looks different [ns]; None: the event was there already.
+        out_of_order: whether a later event of its kind was there already.
+        jump_m: way of the wheel that cannot have been motion, otherwise 0 [m].
+    """
+
+    changed_ns: int | None
+    out_of_order: bool = False
+    jump_m: float = 0.0
 
 
 class PeriodInputs(NamedTuple):
@@ -39,6 +54,7 @@ class PeriodInputs(NamedTuple):
         reset: the last pose that was set in the period, if any.
         control_since_reset: `(2,)` [dS, dtheta] from then to the period's end (m, rad).
         wheels_known: whether both wheels had spoken by its begin.
+        wheels_known_at_end: whether both had by its end.
     """
 
     step: StepInput
@@ -46,19 +62,35 @@ class PeriodInputs(NamedTuple):
     reset: PoseReset | None
     control_since_reset: FloatArray
     wheels_known: bool
+    wheels_known_at_end: bool
 
 
 class _Queue(Generic[EventT]):
-    """Events of one kind in the order of their stamps; of equal stamps the last to come wins."""
+    """Events of one kind in the order of their stamps; of equal stamps the last one counts.
 
-    def __init__(self) -> None:
+    Args:
+        content: what a measurement says, as numbers, which order those with equal stamps, so that
+            it does not matter which comes first; None for commands, of which the last to come
+            counts.
+    """
+
+    def __init__(self, content: Callable[[EventT], tuple[float, ...]] | None = None) -> None:
+        self._content: Callable[[EventT], tuple[float, ...]] | None = content
         self._stamps: list[int] = []
         self._events: list[EventT] = []
 
-    def add(self, event: EventT) -> None:
-        place = bisect_right(self._stamps, event.stamp_ns)
+    def add(self, event: EventT) -> Addition:
+        last = place = bisect_right(self._stamps, event.stamp_ns)
+        if self._content is not None:
+            first = bisect_left(self._stamps, event.stamp_ns)
+            said = [self._content(other) for other in self._events[first:last]]
+            content = self._content(event)
+            if content in said:
+                return Addition(None)
+            place = first + bisect_left(said, content)
         self._stamps.insert(place, event.stamp_ns)
         self._events.insert(place, event)
+        return Addition(event.stamp_ns, last < len(self._stamps) - 1)
 
     def latest(self, after_ns: int, until_ns: int) -> EventT | None:
         place = bisect_right(self._stamps, until_ns)
@@ -80,35 +112,38 @@ class InputBuffer:
         self._parameters = parameters
         self._geometry = wheel_geometry(parameters)
         self._measurement_noise = measurement_noise(parameters)
-        modulus = None
-        if parameters.encoder_source == "ticks":
-            modulus = 2**parameters.encoder_bits
-        self._wheels = {wheel: WheelTrack(modulus) for wheel in Wheel}
+        ticks = parameters.encoder_source == "ticks"
+        self._metres_per_count = self._geometry.metres_per_count
+        self._wheels = {
+            wheel: WheelTrack(
+                2**parameters.encoder_bits if ticks else None,
+                stamped=not ticks,
+                fastest=parameters.max_wheel_speed / self._metres_per_count,
+                resolution=1.0 if ticks else 0.0,
+            )
+            for wheel in Wheel
+        }
         self._sign = {
             Wheel.LEFT: -1 if parameters.left_inverted else 1,
             Wheel.RIGHT: -1 if parameters.right_inverted else 1,
         }
-        self._compass: _Queue[CompassYaw] = _Queue()
-        self._fixes: _Queue[PoseFix] = _Queue()
+        self._compass: _Queue[CompassYaw] = _Queue(lambda event: (event.yaw,))
+        self._fixes: _Queue[PoseFix] = _Queue(_pose_content)
         self._resets: _Queue[PoseReset] = _Queue()
 
-    def add(self, event: Event) -> int:
-        """Take an event in.
-
-        Returns:
-            From when on the past looks different [ns].
-        """
+    def add(self, event: Event) -> Addition:
+        """Take an event in."""
         if isinstance(event, WheelCount):
-            return self._wheels[event.wheel].add(
+            taken = self._wheels[event.wheel].add(
                 event.stamp_ns, self._sign[event.wheel] * event.reading
             )
+            jump_m = taken.jump * self._metres_per_count
+            return Addition(taken.changed_ns, taken.out_of_order, jump_m)
         if isinstance(event, CompassYaw):
-            self._compass.add(event)
-        elif isinstance(event, PoseFix):
-            self._fixes.add(event)
-        else:
-            self._resets.add(event)
-        return event.stamp_ns
+            return self._compass.add(event)
+        if isinstance(event, PoseFix):
+            return self._fixes.add(event)
+        return self._resets.add(event)
 
     def wheels_known_until_ns(self) -> int | None:
         """Return until when both wheels are known [ns]; None if one never spoke."""
@@ -117,12 +152,22 @@ class InputBuffer:
 
     def wheels_known_at(self, stamp_ns: int) -> bool:
         """Return whether both wheels had spoken by an instant."""
-        firsts = [self._wheels[wheel].first_stamp_ns for wheel in Wheel]
-        return all(first is not None and first <= stamp_ns for first in firsts)
+        since_ns = self._wheels_known_since_ns()
+        return since_ns is not None and since_ns <= stamp_ns
+
+    def _wheels_known_since_ns(self) -> int | None:
+        left, right = (self._wheels[wheel].first_stamp_ns for wheel in Wheel)
+        return None if left is None or right is None else max(left, right)
 
     def counts_at(self, stamp_ns: int) -> Counts:
         """Return the counts at an instant."""
-        return Counts(*(self._wheels[wheel].at(stamp_ns) for wheel in Wheel))
+        return Counts(*(self._count_at(wheel, stamp_ns) for wheel in Wheel))
+
+    def _count_at(self, wheel: Wheel, stamp_ns: int) -> float | None:
+        first_ns = self._wheels[wheel].first_stamp_ns
+        if first_ns is None or stamp_ns < first_ns:
+            return None
+        return self._wheels[wheel].at(stamp_ns)
 
     def period(self, begin_ns: int, end_ns: int, counts_at_begin: Counts) -> PeriodInputs:
         """Return what the time (begin, end] holds.
@@ -131,15 +176,22 @@ class InputBuffer:
             begin_ns: begin of the period, not part of it [ns].
             end_ns: its end [ns].
             counts_at_begin: what the period before ended with; what the wheels are known to
-                have done before by now, but was not known then, falls into this period.
+                have done before by now, but was not known then, falls into this period. There
+                is no motion before both wheels have spoken: one alone would seem to turn.
         """
+        left, right = counts_at_begin
+        since_ns = begin_ns
+        if left is None or right is None:
+            known_ns = self._wheels_known_since_ns()
+            since_ns = end_ns if known_ns is None else min(max(known_ns, begin_ns), end_ns)
+            left, right = (self._wheels[wheel].at(since_ns) for wheel in Wheel)
 
         def control(stamp_ns: int) -> FloatArray:
-            counts = self.counts_at(stamp_ns)
+            stamp_ns = max(stamp_ns, since_ns)
             return control_from_counts(
                 self._geometry,
-                counts.left - counts_at_begin.left,
-                counts.right - counts_at_begin.right,
+                self._wheels[Wheel.LEFT].at(stamp_ns) - left,
+                self._wheels[Wheel.RIGHT].at(stamp_ns) - right,
             )
 
         measurement = np.zeros(MEASUREMENT_SIZE)
@@ -171,6 +223,7 @@ class InputBuffer:
             reset,
             whole - control(reset.stamp_ns) if reset is not None else np.zeros(2),
             self.wheels_known_at(begin_ns),
+            self.wheels_known_at(end_ns),
         )
 
     def forget_before(self, stamp_ns: int) -> None:
@@ -179,3 +232,7 @@ class InputBuffer:
             track.forget_before(stamp_ns)
         for queue in (self._compass, self._fixes, self._resets):
             queue.forget_before(stamp_ns)
+
+
+def _pose_content(event: PoseFix) -> tuple[float, ...]:
+    return (*event.pose.tolist(), *event.covariance.ravel().tolist())

@@ -1,9 +1,13 @@
 """The pipeline: events in, in any order; estimates out, one a period.
 
-A period ends at an integer multiple of `period` in ROS time. It is closed when both wheels are
-known up to its end, or `encoder_timeout` later. What arrives after that changes later periods
-only: the filter goes back to the state before (states are values, so they were simply kept), and
-the closed periods are run again with what is known now, without being published again.
+A period ends at an integer multiple of `period` in ROS time. It is closed when its end is past by
+`output_delay` and both wheels are known up to there, or `encoder_timeout` later. What arrives
+after that changes later periods only: the filter goes back to the state before (states are
+values, so they were simply kept), and the closed periods are run again with what is known now,
+without being published again.
+
+So what is published depends on the stamps, and not on when a message arrives, as long as it does
+before its period is closed.
 """
 
 import dataclasses
@@ -21,8 +25,14 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, PoseReset, Rejected, Status
 from fnn_ekf_ros.pipeline.health import Health
-from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer
-from fnn_ekf_ros.pipeline.period import Period, run_period, start_at
+from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer, PeriodInputs
+from fnn_ekf_ros.pipeline.period import (
+    FAILURES,
+    Period,
+    check_finite,
+    run_period,
+    without_measurements,
+)
 from fnn_ekf_ros.pipeline.saved import SavedState
 from fnn_ekf_ros.pipeline.start import Waiting
 
@@ -42,8 +52,8 @@ class _Checkpoint(NamedTuple):
 
     stamp_ns: int
     state: FilterState | Waiting
-    counts: Counts | None
-    """What the wheels had counted for the periods so far; None before the first."""
+    counts: Counts
+    """What the wheels had counted for the periods so far."""
     model: FilterModel
     """The model the period was run with, for when it is run again."""
 
@@ -72,8 +82,10 @@ class Pipeline:
         self._health = Health(parameters)
         self._period_ns = round(parameters.period * 1e9)
         self._timeout_ns = round(parameters.encoder_timeout * 1e9)
+        self._delay_ns = round(parameters.output_delay * 1e9)
+        self._longest_wait_ns = max(self._timeout_ns, self._delay_ns)
         self._history_ns = round(parameters.history * 1e9)
-        self._longest_silence_ns = LONGEST_SILENCE_PERIODS * self._period_ns + self._timeout_ns
+        self._longest_silence_ns = LONGEST_SILENCE_PERIODS * self._period_ns + self._longest_wait_ns
         self._checkpoints: deque[_Checkpoint] = deque()
         self._changed_ns = _NEVER_NS
         self._now_ns = -_NEVER_NS
@@ -94,10 +106,10 @@ class Pipeline:
             oldest_ns = self._checkpoints[0].stamp_ns
             event = event._replace(stamp_ns=max(event.stamp_ns, oldest_ns + 1))
         if self._accepts(event, now_ns):
-            changed_ns = self._inputs.add(event)
-            if changed_ns <= self._checkpoints[-1].stamp_ns:
-                self._changed_ns = min(changed_ns, self._changed_ns)
-            self._health.saw(event)
+            addition = self._inputs.add(event)
+            if addition.changed_ns is not None:
+                self._changed_ns = min(addition.changed_ns, self._changed_ns)
+            self._health.took(event, addition)
         return outputs + self._close()
 
     def advance(self, now_ns: int) -> list[Output]:
@@ -203,22 +215,24 @@ class Pipeline:
         return True
 
     def _begin(self, now_ns: int) -> None:
-        """Open the first period: `history` ago, for what is on its way; now for a given pose."""
+        """Open the first period: so long ago that nothing that is on its way comes too late."""
         waiting = Waiting(*self._start_noise)
-        state: FilterState | Waiting = waiting
-        begin_ns = now_ns
         covariance = np.diag(np.square(self.parameters.initial_pose_std))
         if self._warm_start is not None:  # once: after a jump of the clock it is too old
-            pose, known = self._warm_start.pose, self._warm_start.covariance
-            state = start_at(self._model, waiting, pose, covariance + known)
+            waiting = waiting._replace(
+                given_pose=self._warm_start.pose,
+                given_covariance=covariance + self._warm_start.covariance,
+            )
             self._warm_start = None
-        elif np.isnan(self.parameters.initial_pose[0]):
-            begin_ns -= self._history_ns
-        else:
-            pose = np.array(self.parameters.initial_pose)
-            state = start_at(self._model, waiting, pose, covariance)
+        elif not np.isnan(self.parameters.initial_pose[0]):
+            waiting = waiting._replace(
+                given_pose=np.array(self.parameters.initial_pose), given_covariance=covariance
+            )
+        begin_ns = now_ns - max(self._history_ns, self._longest_wait_ns)
         begin_ns = (begin_ns - 1) // self._period_ns * self._period_ns
-        self._checkpoints.append(_Checkpoint(begin_ns, state, None, self._model))
+        if now_ns >= 0:  # nothing is stamped before 0, where simulated time begins
+            begin_ns = max(begin_ns, -self._period_ns)
+        self._checkpoints.append(_Checkpoint(begin_ns, waiting, Counts(), self._model))
 
     def _close(self) -> list[Output]:
         """Close the periods that can be closed now."""
@@ -227,10 +241,11 @@ class Pipeline:
             end_ns = self._checkpoints[-1].stamp_ns + self._period_ns
             known_ns = self._inputs.wheels_known_until_ns()
             complete = known_ns is not None and known_ns >= end_ns
-            if not complete and self._now_ns < end_ns + self._timeout_ns:
+            wait_ns = self._delay_ns if complete else self._longest_wait_ns
+            if self._now_ns < end_ns + wait_ns:
                 break
             estimate = self._run_open_periods(end_ns)
-            self._health.closed(complete)
+            self._health.closed(end_ns, complete, self._checkpoints[-1].counts, estimate)
             outputs.append(Output(end_ns, estimate, self._report(end_ns, estimate)))
             self._forget()
         return outputs
@@ -238,7 +253,8 @@ class Pipeline:
     def _run_open_periods(self, end_ns: int) -> Estimate | None:
         """Run the periods that late inputs belong to again, and then the one that ends now.
 
-        A filter that leaves the finite numbers starts anew with the noise it had, and says so.
+        A filter that leaves the finite numbers without any measurement, too, starts anew with the
+        noise it had, and says so.
         """
         kept = deque(self._checkpoints)
         redo: list[_Checkpoint] = []
@@ -251,37 +267,43 @@ class Pipeline:
                 *((before.stamp_ns, before.model) for before in reversed(redo)),
                 (end_ns, self._model),
             ]:
-                checkpoint, estimate = self._run_period(kept[-1], stamp_ns, model)
+                checkpoint, estimate = self._run_or_predict(kept[-1], stamp_ns, model)
                 kept.append(checkpoint)
-        except (ArithmeticError, np.linalg.LinAlgError) as error:
-            self._health.restarted(f"the filter failed ({error})", end_ns, end_ns)
-            noise = self._noise()
-            lost = _Checkpoint(end_ns, Waiting(*noise), None, self._model)
+        except FAILURES as error:
+            self._health.failed(end_ns, str(error), restarts=True)
+            counts = self._inputs.counts_at(end_ns)
+            lost = _Checkpoint(end_ns, Waiting(*self._noise()), counts, self._model)
             kept, estimate = deque([lost]), None
         self._checkpoints = kept
         self._health.redone(len(redo))
         return estimate
 
-    def _run_period(
+    def _run_or_predict(
         self, before: _Checkpoint, end_ns: int, model: FilterModel
     ) -> tuple[_Checkpoint, Estimate | None]:
-        counts = before.counts or self._inputs.counts_at(before.stamp_ns)
-        inputs = self._inputs.period(before.stamp_ns, end_ns, counts)
+        """Run a period; from the state before by the wheels alone if its measurements fail it."""
+        inputs = self._inputs.period(before.stamp_ns, end_ns, before.counts)
+        try:
+            return self._run_period(before, end_ns, model, inputs)
+        except FAILURES as error:
+            predicted = self._run_period(before, end_ns, model, without_measurements(inputs))
+            self._health.failed(end_ns, str(error), restarts=False)
+            return predicted
+
+    def _run_period(
+        self, before: _Checkpoint, end_ns: int, model: FilterModel, inputs: PeriodInputs
+    ) -> tuple[_Checkpoint, Estimate | None]:
         state = before.state
         if isinstance(state, FilterState):
             state = for_mode(model, state)
         state, result = run_period(model, state, inputs)
+        if isinstance(state, FilterState):
+            check_finite(state)
         if self._on_period is not None:
             self._on_period(Period(end_ns, inputs, before.state, state))
         checkpoint = _Checkpoint(end_ns, state, inputs.counts, model)
         if isinstance(state, Waiting):
             return checkpoint, None
-        if not np.all(np.isfinite(state.mean)):
-            raise ArithmeticError("the pose is not finite")
-        if not np.all(np.isfinite([*state.process_noise, *state.measurement_noise])):
-            raise ArithmeticError("the noise is not finite")
-        if not np.linalg.eigvalsh(state.covariance)[0] > 0.0:
-            raise ArithmeticError("the covariance is not positive definite")
         T = self.parameters.period
         return checkpoint, Estimate(
             stamp_ns=end_ns,

@@ -1,4 +1,9 @@
-"""Waiting for the start: no estimate until both wheels, x, y and yaw have been heard of."""
+"""Waiting for the start: no estimate until both wheels, x, y and yaw have been heard of.
+
+A pose that was given stands for x, y and yaw: it holds until both wheels have spoken, and the
+filter starts from it with the period in which they do. So when it starts depends on stamps alone,
+and nothing grows uncertain before the robot can have moved.
+"""
 
 from typing import NamedTuple
 
@@ -27,6 +32,8 @@ class Waiting(NamedTuple):
         since_fix: `(3,)` pose relative to the robot's pose at the fix (m, m, rad).
         yaw: the last yaw, carried [rad]; None before the first.
         yaw_variance: [rad^2].
+        given_pose: `(3,)` pose to start from (m, m, rad); None to wait for measurements.
+        given_covariance: `(3, 3)` its covariance.
     """
 
     process_noise: FloatArray
@@ -36,6 +43,8 @@ class Waiting(NamedTuple):
     since_fix: FloatArray = np.zeros(3)
     yaw: float | None = None
     yaw_variance: float = 0.0
+    given_pose: FloatArray | None = None
+    given_covariance: FloatArray = np.zeros((3, 3))
 
 
 def wait(model: FilterModel, waiting: Waiting, period: StepInput) -> Waiting | FilterState:

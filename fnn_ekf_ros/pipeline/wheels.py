@@ -1,20 +1,83 @@
-"""Encoder readings as a continuous track that can be asked for any instant."""
+"""Encoder readings as a continuous track that can be asked for any instant.
 
-from bisect import bisect_right
+A reading that would mean a wheel faster than `max_wheel_speed` is a controller's reset or a
+glitch, and no motion. Which of the two shows with the next reading: if that one continues the
+jump, counting goes on from the new base; if it is back where the wheel was before, the base never
+changed and the way in between is counted. So a reset costs the way of one interval, and a single
+corrupt reading none, it only comes one interval late.
+
+The track is a function of its readings alone, not of the order in which stamped ones arrive: a
+late one is put in its place, and what follows is gone through again.
+"""
+
+from bisect import bisect_left, bisect_right
+from typing import NamedTuple
+
+ARRIVAL_SLACK_S = 0.1
+"""Readings that are stamped on arrival come in bursts, which squeeze the time between them: so
+long a stall of the machine or the network may lie between two readings [s]."""
+STAMP_SLACK_S = 0.02
+"""Stamps of a driver are off by up to a cycle of its loop, depending on whether it reads the
+encoders before or after the clock: a cycle of 50 Hz, the slowest that is common [s]."""
+
+
+class Taken(NamedTuple):
+    """What a reading did to a track.
+
+    Attributes:
+        changed_ns: from when on the track has changed [ns]; None: it was there already.
+        out_of_order: whether a later one was there already.
+        jump: by how much it differs from the reading believed before if that is too much to be
+            motion; otherwise 0 [counts].
+    """
+
+    changed_ns: int | None
+    out_of_order: bool = False
+    jump: float = 0.0
+
+
+class _Belief(NamedTuple):
+    """How far a wheel is known to have turned after a reading.
+
+    Attributes:
+        stamp_ns: of the last reading that was believed [ns].
+        value: that reading, unwrapped.
+        base: the value at which the count is zero.
+        suspect: stamp and unwrapped value of the reading after it, if that jumped.
+    """
+
+    stamp_ns: int
+    value: int | float
+    base: int | float
+    suspect: tuple[int, int | float] | None
+
+    def counted(self) -> int | float:
+        return self.value - self.base
 
 
 class WheelTrack:
-    """Counts of one wheel, unwrapped and relative to the first reading.
+    """Counts of one wheel, unwrapped and without jumps.
 
     Args:
         modulus: counts at which the counter wraps, 2^bits; None for a position that does not.
+        stamped: whether the readings carry stamps of their own: then they may come in any order,
+            and of two with the same stamp the greater counts from then on. Readings that are
+            stamped on arrival keep their order even where the clock goes back.
+        fastest: counts a second that are still motion.
+        resolution: by how much a wheel at rest may seem to move [counts].
     """
 
-    def __init__(self, modulus: int | None) -> None:
+    def __init__(
+        self, modulus: int | None, *, stamped: bool, fastest: float, resolution: float
+    ) -> None:
         self._modulus = modulus
+        self._stamped = stamped
+        self._fastest = fastest
+        self._slack = fastest * (STAMP_SLACK_S if stamped else ARRIVAL_SLACK_S) + resolution
+        self._anchor: int | float | None = None
         self._stamps: list[int] = []
-        self._counts: list[int | float] = []
         self._raw: list[int | float] = []
+        self._beliefs: list[_Belief] = []
 
     @property
     def first_stamp_ns(self) -> int | None:
@@ -26,23 +89,31 @@ class WheelTrack:
         """Time of the newest reading [ns]; None without any."""
         return self._stamps[-1] if self._stamps else None
 
-    def add(self, stamp_ns: int, raw: int | float) -> int:
-        """Take a reading in; of two at the same time the later counts from then on.
-
-        Returns:
-            From when on the track has changed [ns]: just after the reading before.
-        """
-        if not self._stamps:
-            self._insert(0, stamp_ns, 0, raw)
-            return stamp_ns
+    def add(self, stamp_ns: int, raw: int | float) -> Taken:
+        """Take a reading in."""
+        if not self._stamped and self._stamps:
+            stamp_ns = max(stamp_ns, self._stamps[-1])
         place = bisect_right(self._stamps, stamp_ns)
-        neighbour = max(place - 1, 0)
-        change = raw - self._raw[neighbour]
-        if self._modulus is not None:
-            half = self._modulus // 2
-            change = (change + half) % self._modulus - half
-        self._insert(place, stamp_ns, self._counts[neighbour] + change, raw)
-        return self._stamps[place - 1] + 1 if place else stamp_ns
+        if self._stamped:
+            first = bisect_left(self._stamps, stamp_ns)
+            if raw in self._raw[first:place]:
+                return Taken(None)
+            place = bisect_left(self._raw, raw, first, place)
+        if self._anchor is None:
+            # Counts are small integers where counting begins, wherever that is: exact, and the
+            # same as of a counter that started at 0. Positions are taken as they are.
+            self._anchor = 0.0 if self._modulus is None else raw
+        before = self._beliefs[place - 1] if place else None
+        belief = self._after(before, stamp_ns, raw)
+        self._stamps.insert(place, stamp_ns)
+        self._raw.insert(place, raw)
+        self._beliefs.insert(place, belief)
+        self._go_through_again_from(place + 1)
+        jump = 0.0
+        if before is not None and belief.suspect is not None:
+            jump = float(belief.suspect[1] - before.value)
+        changed_ns = self._stamps[place - 1] + 1 if place else stamp_ns
+        return Taken(changed_ns, place < len(self._stamps) - 1, jump)
 
     def at(self, stamp_ns: int) -> float:
         """Return the count at an instant, linear between readings, held beyond them."""
@@ -50,20 +121,49 @@ class WheelTrack:
         if not self._stamps:
             return 0.0
         if place == 0:
-            return float(self._counts[0])
+            return float(self._beliefs[0].counted())
         if place == len(self._stamps) or self._stamps[place - 1] == stamp_ns:
-            return float(self._counts[place - 1])
+            return float(self._beliefs[place - 1].counted())
         t0, t1 = self._stamps[place - 1], self._stamps[place]
-        c0, c1 = self._counts[place - 1], self._counts[place]
+        c0, c1 = self._beliefs[place - 1].counted(), self._beliefs[place].counted()
         return c0 + (c1 - c0) * ((stamp_ns - t0) / (t1 - t0))
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop the readings that no instant from `stamp_ns` on needs."""
         first = bisect_right(self._stamps, stamp_ns) - 1
         if first > 64:  # in slabs: deleting from the front of a list moves all of it
-            del self._stamps[:first], self._counts[:first], self._raw[:first]
+            del self._stamps[:first], self._raw[:first], self._beliefs[:first]
 
-    def _insert(self, place: int, stamp_ns: int, count: int | float, raw: int | float) -> None:
-        self._stamps.insert(place, stamp_ns)
-        self._counts.insert(place, count)
-        self._raw.insert(place, raw)
+    def _go_through_again_from(self, place: int) -> None:
+        for later in range(place, len(self._stamps)):
+            belief = self._after(self._beliefs[later - 1], self._stamps[later], self._raw[later])
+            if belief == self._beliefs[later]:
+                return
+            self._beliefs[later] = belief
+
+    def _after(self, before: _Belief | None, stamp_ns: int, raw: int | float) -> _Belief:
+        """Return what is believed after a reading that follows."""
+        if before is None:
+            assert self._anchor is not None
+            return _Belief(stamp_ns, self._near(self._anchor, raw), self._anchor, None)
+        value = self._near(before.value, raw)
+        strange = self._strangeness(value - before.value, stamp_ns - before.stamp_ns)
+        if before.suspect is not None:
+            suspect_ns, suspected = before.suspect
+            continued = self._near(suspected, raw)
+            if self._strangeness(continued - suspected, stamp_ns - suspect_ns) < min(strange, 1.0):
+                return _Belief(stamp_ns, continued, suspected - before.counted(), None)
+        if strange <= 1.0:
+            return _Belief(stamp_ns, value, before.base, None)
+        return before._replace(suspect=(stamp_ns, value))
+
+    def _near(self, value: int | float, raw: int | float) -> int | float:
+        """Return the reading, unwrapped to what is nearest to a value."""
+        if self._modulus is None:
+            return raw
+        half = self._modulus // 2
+        return value + (raw - value + half) % self._modulus - half
+
+    def _strangeness(self, change: float, time_ns: int) -> float:
+        """Return a change as a part of what may be motion."""
+        return abs(change) / (self._fastest * time_ns * 1e-9 + self._slack)

@@ -24,7 +24,7 @@ from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
-from fnn_ekf_ros.pipeline.period import Period, run_period
+from fnn_ekf_ros.pipeline.period import Period, run_period, state_at_begin
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.pipeline.start import Waiting
 from fnn_ekf_ros.study.filters import SMALLEST_WINDOW
@@ -238,13 +238,17 @@ def _first_state(
     model: FilterModel, cell: Cell, periods: Sequence[Period]
 ) -> tuple[int, FilterState]:
     """Return how many periods the filter of a cell needs to start, and its first state."""
+    noise = np.asarray(model.process_noise), np.asarray(model.measurement_noise)
     before = periods[0].before
-    if isinstance(before, FilterState):  # from `initial_pose`
+    if isinstance(before, FilterState):
         return 0, start_filter(model, before.mean, before.covariance)
     state: FilterState | Waiting = Waiting(
-        np.asarray(model.process_noise), np.asarray(model.measurement_noise)
+        *noise, given_pose=before.given_pose, given_covariance=before.given_covariance
     )
     for taken, period in enumerate(periods, 1):
+        state = state_at_begin(model, state, period.inputs)
+        if isinstance(state, FilterState):  # from `initial_pose`
+            return taken - 1, state
         reported = period.inputs.step.measurement_covariance
         if reported is not None:
             reported = cell.k * reported

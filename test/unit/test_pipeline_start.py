@@ -213,17 +213,41 @@ def test_reported_covariances_start_it_where_they_are_used(
     np.testing.assert_allclose(estimate.state.covariance, expected)
 
 
-def test_from_an_initial_pose_it_starts_at_once(pipeline: MakePipeline) -> None:
+def test_from_an_initial_pose_it_starts_when_both_wheels_are_known(pipeline: MakePipeline) -> None:
     std = [0.3, 0.2, 0.1]
     ran = pipeline(initial_pose=list(pose_at(START_NS)), initial_pose_std=std)
     outputs = drive(ran, [], 6)
     estimate = first_estimate(outputs)
-    assert estimate.stamp_ns == outputs[0].stamp_ns == START_NS
+    assert estimate.stamp_ns == START_NS
     assert estimate.state.covariance[2, 2] == pytest.approx(0.1**2 + TURN_VARIANCE)
+    assert estimate.result is not None
     for output in outputs:
-        assert output.estimate is not None
-        truth = pose_at(output.stamp_ns)
-        np.testing.assert_allclose(output.estimate.state.mean, truth, atol=1e-9)
+        if output.estimate is not None:
+            truth = pose_at(output.stamp_ns)
+            np.testing.assert_allclose(output.estimate.state.mean, truth, atol=1e-9)
+
+
+@pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
+def test_a_given_pose_does_not_age_before_both_wheels_have_spoken(
+    pipeline: MakePipeline, speaking: list[Wheel]
+) -> None:
+    ran = pipeline(initial_pose=[1.0, -2.0, 2.0], initial_pose_std=[0.3, 0.2, 0.1])
+    outputs = []
+    for number in range(-400, 0):
+        stamp = START_NS + number * PERIOD_NS // 10
+        for wheel in speaking:
+            outputs += ran.add(WheelCount(stamp, wheel, 0.0), stamp)
+        outputs += ran.advance(stamp)
+    assert len(outputs) > 35
+    assert all(output.estimate is None for output in outputs)
+    filter_status = next(s for s in ran.report() if s.name == "filter")
+    assert filter_status.level is Level.WARN
+    assert filter_status.message == "waiting for the first " + (
+        "period of both wheels" if speaking else "wheel counts"
+    )
+    first = first_estimate(outputs + drive(ran, [], 3))
+    assert first.stamp_ns == START_NS
+    assert first.state.covariance[2, 2] == pytest.approx(0.1**2 + TURN_VARIANCE)
 
 
 @pytest.mark.parametrize("running", [False, True])
@@ -241,7 +265,7 @@ def test_a_set_pose_counts_from_its_stamp_on(pipeline: MakePipeline, running: bo
     assert known[0].estimate is not None
     np.testing.assert_allclose(known[0].estimate.state.covariance, given)
     for output in outputs[: -len(known)]:
-        assert (output.estimate is not None) is running
+        assert (output.estimate is not None) is (running and output.stamp_ns >= START_NS)
 
 
 def test_a_set_pose_keeps_the_adapted_noise(make_pipeline: MakePipeline, simulated: Any) -> None:

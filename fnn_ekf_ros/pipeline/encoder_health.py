@@ -1,0 +1,116 @@
+"""What the localizer says about the encoders: silent, stuck and jumping wheels, named."""
+
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.configure import wheel_geometry
+from fnn_ekf_ros.pipeline.events import Estimate, Level, Status, Wheel, WheelCount
+from fnn_ekf_ros.pipeline.inputs import Counts
+from fnn_ekf_ros.pipeline.stuck_wheel import Look, StuckWheels
+
+STALE_NS = 3 * 10**9
+"""A sensor that has been silent for longer is called stale [ns]."""
+
+
+class EncoderHealth:
+    """Counts what the wheels do.
+
+    Args:
+        parameters: geometry and period.
+    """
+
+    def __init__(self, parameters: LocalizerParameters) -> None:
+        self._metres_per_count = wheel_geometry(parameters).metres_per_count
+        self._turn_scale = parameters.period / NOMINAL_PERIOD_S
+        self._first_ns: dict[Wheel, int] = {}
+        self._last_ns: dict[Wheel, int] = {}
+        self._stuck = StuckWheels(parameters.wheel_separation)
+        self._pose_set_ns: int | None = None
+        self._jumps = self._timeouts = self._new_timeouts = 0
+        self._new_jump = ""
+
+    def saw(self, event: WheelCount, jump_m: float) -> None:
+        """Count a reading, and whether it jumped by a way that cannot have been motion [m]."""
+        self._first_ns.setdefault(event.wheel, event.stamp_ns)
+        self._last_ns[event.wheel] = max(event.stamp_ns, self._last_ns.get(event.wheel, 0))
+        if jump_m:
+            self._jumps += 1
+            self._new_jump = (
+                f"{event.wheel.name.lower()} wheel jumped by {jump_m:.3f} m: taken for a reset or "
+                "a glitch, and no motion"
+            )
+
+    def pose_was_set(self, stamp_ns: int) -> None:
+        """Expect the pose to jump at an instant [ns]."""
+        self._pose_set_ns = max(stamp_ns, self._pose_set_ns or 0)
+
+    def restarted(self) -> None:
+        """Begin anew after a jump of the clock."""
+        self._first_ns.clear()
+        self._last_ns.clear()
+        self._stuck.forget()
+        self._pose_set_ns = None
+
+    def closed(
+        self, end_ns: int, complete: bool, counts: Counts | None, estimate: Estimate | None
+    ) -> None:
+        """Count a period; `complete` if both wheels were known up to its end."""
+        if not complete:
+            self._timeouts += 1
+            self._new_timeouts += 1
+        if self._pose_set_ns is not None and end_ns >= self._pose_set_ns:
+            self._pose_set_ns = None
+            self._stuck.forget()
+        if estimate is None or counts is None or counts.left is None or counts.right is None:
+            self._stuck.forget()
+            return
+        state = estimate.state
+        self._stuck.look(
+            Look(
+                end_ns,
+                (counts.left * self._metres_per_count, counts.right * self._metres_per_count),
+                float(state.mean[2]),
+                float(state.covariance[2, 2]),
+                float(state.process_noise[1]) * self._turn_scale,
+            )
+        )
+
+    def status(self, common: Status, now_ns: int, *, refused: bool) -> Status:
+        """Return how they are; what is new since the last time decides the level.
+
+        Args:
+            common: what can be said of any sensor.
+            now_ns: ROS time [ns].
+            refused: whether `common` tells of messages that were refused.
+        """
+        status = common._replace(
+            values=(
+                *common.values,
+                ("periods closed without both wheels", str(self._timeouts)),
+                ("jumps", str(self._jumps)),
+            )
+        )
+        jump, self._new_jump = self._new_jump, ""
+        timeouts, self._new_timeouts = self._new_timeouts, 0
+        if status.level is not Level.OK and not refused:
+            return status._replace(level=Level.ERROR)
+        missing = self._missing(now_ns) or self._stuck.accusation()
+        if missing:
+            return status._replace(level=Level.ERROR, message=missing)
+        if jump:
+            return status._replace(level=Level.WARN, message=jump)
+        if timeouts and not refused:
+            message = f"{timeouts} periods closed without both wheels"
+            return status._replace(level=Level.WARN, message=message)
+        return status
+
+    def _missing(self, now_ns: int) -> str:
+        """Return which wheel is silent while the other one is not; empty if none is."""
+        for wheel in Wheel:
+            name, other = wheel.name.lower(), Wheel(1 - wheel)
+            if wheel in self._last_ns:
+                age_ns = now_ns - self._last_ns[wheel]
+                if age_ns > STALE_NS:
+                    return f"{name} wheel silent for {age_ns * 1e-9:.1f} s"
+            elif other in self._first_ns and now_ns - self._first_ns[other] > STALE_NS:
+                return f"no message yet from the {name} wheel"
+        return ""
