@@ -137,16 +137,22 @@ class Pipeline:
         return self._health.report(now_ns, self._state(), None, self._mode())
 
     def saved(self) -> SavedState | None:
-        """Return what is worth keeping for the next start; None while the filter has none."""
-        last = self._checkpoints[-1] if self._checkpoints else None
-        if last is None or isinstance(last.state, Waiting):
+        """Return what is worth keeping for the next start; None while no pose is known."""
+        if not self._checkpoints:
+            return None
+        last = self._checkpoints[-1]
+        if isinstance(last.state, Waiting):
+            pose, covariance = last.state.given_pose, last.state.given_covariance
+        else:
+            pose, covariance = last.state.mean, last.state.covariance
+        if pose is None:
             return None
         bounds = self._model.adaptation.bounds
         Q, R = self._noise()
         return SavedState(
             last.stamp_ns,
-            last.state.mean,
-            last.state.covariance,
+            pose,
+            covariance,
             np.clip(Q, bounds.process_min, bounds.process_max),
             np.clip(R, bounds.measurement_min, bounds.measurement_max),
         )
