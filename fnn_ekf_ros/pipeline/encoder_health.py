@@ -21,6 +21,7 @@ class EncoderHealth:
     def __init__(self, parameters: LocalizerParameters) -> None:
         self._metres_per_count = wheel_geometry(parameters).metres_per_count
         self._turn_scale = parameters.period / NOMINAL_PERIOD_S
+        self._began_ns: int | None = None
         self._first_ns: dict[Wheel, int] = {}
         self._last_ns: dict[Wheel, int] = {}
         self._stuck = StuckWheels(parameters.wheel_separation)
@@ -45,6 +46,7 @@ class EncoderHealth:
 
     def restarted(self) -> None:
         """Begin anew after a jump of the clock."""
+        self._began_ns = None
         self._first_ns.clear()
         self._last_ns.clear()
         self._stuck.forget()
@@ -91,8 +93,10 @@ class EncoderHealth:
         )
         jump, self._new_jump = self._new_jump, ""
         timeouts, self._new_timeouts = self._new_timeouts, 0
+        self._began_ns = now_ns if self._began_ns is None else self._began_ns
         if status.level is not Level.OK and not refused:
-            return status._replace(level=Level.ERROR)
+            starting = not self._last_ns and now_ns - self._began_ns <= STALE_NS
+            return status._replace(level=Level.WARN if starting else Level.ERROR)
         missing = self._missing(now_ns) or self._stuck.accusation()
         if missing:
             return status._replace(level=Level.ERROR, message=missing)

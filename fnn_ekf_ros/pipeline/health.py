@@ -4,9 +4,9 @@
 | --- | --- | --- |
 | encoders | periods closed without both wheels; messages refused; a wheel jumped further than \
 `max_wheel_speed` allows for the time between two readings and 0.1 s (ticks) or 0.02 s \
-(joint_states) | none, or not for 3 s, from one wheel or both; a wheel is stuck: unchanged for 3 s \
-or longer while the other one turned the robot by 0.5 rad or more, where the filter's turn is off \
-the wheels' by more than 5 standard deviations and by more than half |
+(joint_states); none yet | none for 3 s, from one wheel or both; a wheel is stuck: unchanged for \
+3 s or longer while the other one turned the robot by 0.5 rad or more, where the filter's turn is \
+off the wheels' by more than 5 standard deviations and by more than half |
 | compass, lrf_pose | none, or not for 3 s; messages refused | |
 | filter | waits for its start; a period failed and was predicted by the wheels alone, or the \
 filter had to start anew | |
