@@ -43,7 +43,7 @@ from fnn_ekf_ros.core.plant import (
     predict,
     reported_scale,
 )
-from fnn_ekf_ros.core.relocation import Candidate, follow, no_candidate
+from fnn_ekf_ros.core.relocation import Candidate, Published, follow, no_candidate
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window, push
 
 __all__ = [
@@ -241,13 +241,10 @@ def step(
     candidate, relocation = follow(
         plant,
         model.gate,
-        state.candidate,
-        corrected,
-        corrected_P,
-        noise,
-        state.mean[..., 2],
-        period,
         state.gate,
+        state.candidate,
+        Published(state.mean[..., 2], corrected, corrected_P, *noise),
+        period,
         verdict,
     )
     teaches = period.available & rows_of(teaching(state.gate, verdict, relocation.explains))

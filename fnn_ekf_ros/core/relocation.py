@@ -56,6 +56,24 @@ class Candidate(NamedTuple):
     disagreement: FloatArray
 
 
+class Published(NamedTuple):
+    """The filter that the candidate stands beside.
+
+    Attributes:
+        heading: `(...)` at the period's begin [rad].
+        mean: `(..., 3)` at its end (m, m, rad).
+        covariance: `(..., 3, 3)` at its end.
+        process_noise: `(..., 2)` diagonal of Q in use (m^2, rad^2).
+        measurement_noise: `(..., 4)` diagonal of R in use.
+    """
+
+    heading: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+
+
 class Relocation(NamedTuple):
     """What a period said about the candidate.
 
@@ -85,13 +103,10 @@ def no_candidate(mean: FloatArray, covariance: FloatArray) -> Candidate:
 def follow(
     plant: Plant,
     gate: Gate,
-    candidate: Candidate,
-    mean: FloatArray,
-    covariance: FloatArray,
-    noise: tuple[FloatArray, FloatArray],
-    heading: FloatArray,
-    period: StepInput,
     remembered: GateState,
+    candidate: Candidate,
+    published: Published,
+    period: StepInput,
     verdict: Verdict,
 ) -> tuple[Candidate, Relocation]:
     """Take the candidate over a period, or start one.
@@ -99,25 +114,23 @@ def follow(
     Args:
         plant: the robot.
         gate: how far a reading may be off to agree.
-        candidate: before the period; not changed.
-        mean: `(..., 3)` the published filter at the period's end.
-        covariance: `(..., 3, 3)` its covariance.
-        noise: Q `(..., 2)` and R `(..., 4)` in use.
-        heading: `(...)` of the published filter at the period's begin [rad].
-        period: what it brought.
         remembered: by the gate, before the period.
+        candidate: before the period; not changed.
+        published: the filter it stands beside.
+        period: what it brought.
         verdict: what the gate says about it.
     """
     if not np.any(candidate.active) and not np.any(verdict.rejected):
         nowhere = np.zeros(verdict.rejected.shape, dtype=np.bool_)
         return candidate, Relocation(nowhere, nowhere, nowhere[..., 0])
-    Q, R = noise
     available, rejected = period.available, verdict.rejected
     spoke = verdict.degrees_of_freedom > 0.0
 
-    ahead, spread = predict(plant, candidate.mean, candidate.covariance, Q, period.control)
+    ahead, spread = predict(
+        plant, candidate.mean, candidate.covariance, published.process_noise, period.control
+    )
     z = carry_to_end(plant, candidate.mean[..., 2], period)
-    R_full = noise_matrix(plant, R, period)
+    R_full = noise_matrix(plant, published.measurement_noise, period)
     nis, count = nis_by_sensor(innovate(ahead, spread, z, R_full, available), available)
     agrees = candidate.active[..., None] & spoke & (nis <= limits(gate, count) * remembered.spread)
     confirmed_by = rejected & agrees
@@ -134,7 +147,7 @@ def follow(
     disagreement = candidate.disagreement + np.sum(other, axis=-1)
 
     starts = np.any(rejected & ~agrees, axis=-1)
-    started, started_P = _start(plant, mean, covariance, R_full, heading, period, rejected)
+    started, started_P = _start(plant, published, R_full, period, rejected)
     in_a_row = np.where(spoke, rejected, remembered.rejections > 0.0)
     after = Candidate(
         active=starts | (candidate.active & np.any(in_a_row, axis=-1)),
@@ -153,16 +166,10 @@ def follow(
 
 
 def _start(
-    plant: Plant,
-    mean: FloatArray,
-    covariance: FloatArray,
-    R_full: FloatArray,
-    heading: FloatArray,
-    period: StepInput,
-    rejected: BoolArray,
+    plant: Plant, published: Published, R_full: FloatArray, period: StepInput, rejected: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the published filter with what the rejected readings say in its place."""
-    z = carry_to_end(plant, heading, period)
+    z = carry_to_end(plant, published.heading, period)
     says = period.available & rows_of(rejected)
     by_compass = says[..., Row.COMPASS_YAW]
     replaced = np.stack(
@@ -172,12 +179,12 @@ def _start(
     told = np.stack(np.broadcast_arrays(z[..., Row.X], z[..., Row.Y], yaw), axis=-1)
 
     variance = np.diagonal(R_full, axis1=-2, axis2=-1)
-    told_P = np.zeros_like(covariance)
+    told_P = np.zeros_like(published.covariance)
     told_P[..., :2, :2] = R_full[..., :2, :2]
     told_P[..., 2, 2] = np.where(
         by_compass, variance[..., Row.COMPASS_YAW], variance[..., Row.LRF_YAW]
     )
     both = replaced[..., :, None] & replaced[..., None, :]
     neither = ~replaced[..., :, None] & ~replaced[..., None, :]
-    started_P = np.where(both, told_P, np.where(neither, covariance, 0.0))
-    return np.where(replaced, told, mean), started_P
+    started_P = np.where(both, told_P, np.where(neither, published.covariance, 0.0))
+    return np.where(replaced, told, published.mean), started_P
