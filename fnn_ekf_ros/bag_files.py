@@ -219,9 +219,9 @@ class BagReader:
     def _broken(self, error: Exception) -> BagError:
         if _breaks_off(self.path):
             return BagError(
-                f"bag '{self.path}' breaks off after {self.path.stat().st_size / 1e6:.1f} MB, its "
-                "writer was ended before it was done: nothing of it can be read as it is; `mcap "
-                "recover` writes what is complete into a new file"
+                f"bag '{self.path}' cannot be read: it breaks off after "
+                f"{self.path.stat().st_size / 1e6:.1f} MB, its writer was ended too early; "
+                "`mcap recover` writes what is complete into a new file"
             )
         return BagError(
             f"bag '{self.path}' cannot be read ({_reason(error)}): expected a complete rosbag2 "

@@ -86,6 +86,10 @@ class Health:
         """Count an event that was refused for its stamp."""
         self._time.dropped(_sensor_of(event) or "initialpose", reason)
 
+    def overran(self, seconds: float) -> None:
+        """Count a delay of more than a period [s]."""
+        self._time.overran(seconds)
+
     def redone(self, periods: int) -> None:
         """Count the periods that were run again for late inputs."""
         self._time.redone(periods)

@@ -131,6 +131,10 @@ class Pipeline:
         """Count an input that was refused before it became an event."""
         self._health.rejected(rejected)
 
+    def overran(self, seconds: float) -> None:
+        """Count a time that whoever drives the pipeline was late by [s]."""
+        self._health.overran(seconds)
+
     def report(self) -> tuple[Status, ...]:
         """Return the statuses as they are now."""
         now_ns = self._checkpoints[-1].stamp_ns if self._checkpoints else 0

@@ -8,6 +8,7 @@ class TimeHealth:
 
     def __init__(self) -> None:
         self._dropped = self._repeated = self._out_of_order = self._redone = self._restarts = 0
+        self._overruns = 0
         self._new_trouble = ""
 
     def dropped(self, name: str, reason: str) -> None:
@@ -32,6 +33,11 @@ class TimeHealth:
         self._restarts += 1
         self._new_trouble = f"{reason} from {from_ns * 1e-9:.3f} s to {to_ns * 1e-9:.3f} s"
 
+    def overran(self, seconds: float) -> None:
+        """Count a delay of more than a period [s]."""
+        self._overruns += 1
+        self._new_trouble = f"late by {seconds:.2f} s, more than a period"
+
     def status(self) -> Status:
         """Return how it is; what is new since the last time decides the level."""
         values = (
@@ -40,6 +46,7 @@ class TimeHealth:
             ("out of order", str(self._out_of_order)),
             ("periods run again for late inputs", str(self._redone)),
             ("restarts", str(self._restarts)),
+            ("cycle overruns", str(self._overruns)),
         )
         trouble, self._new_trouble = self._new_trouble, ""
         if trouble:

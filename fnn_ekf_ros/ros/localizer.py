@@ -1,10 +1,11 @@
 """The `localizer` node: messages into the pipeline, its estimates out."""
 
 import argparse
+import copy
 import functools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fnn_ekf_ros import messages
@@ -17,6 +18,7 @@ from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.memory import Memory
+from fnn_ekf_ros.ros.pace import Pace
 from fnn_ekf_ros.ros.runtime import (
     LOG_INTERVAL_S,
     as_overrides,
@@ -32,8 +34,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy  # isort: skip
 from rclpy.qos_overriding_options import QoSOverridingOptions  # isort: skip
 from std_srvs.srv import SetBool, Trigger  # isort: skip
 
-INPUT_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort as for sensor data, but deep enough for a burst of a second."""
+INPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Best effort as for sensor data, but deep enough for a burst of a second of fast encoders."""
 OUTPUT_QOS = QoSProfile(depth=10)
 TIMER_DIVISOR = 4
 """The clock is looked at so many times a period, to close periods that wait for the wheels."""
@@ -57,12 +59,16 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._transforms = Transforms(self, parameters) if parameters.publish_tf else None
         self._memory = Memory(self, parameters)
         self.pipeline = Pipeline(parameters, network, warm_start=self._memory.warm_start)
+        self._pace = Pace(self, parameters.period, self.pipeline.overran)
         self._levels: dict[str, Level] = {}
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
         self._odom, self._noise, self._diagnostics = (
             self.create_publisher(
-                message_class(type_name), topic, OUTPUT_QOS, qos_overriding_options=overridable
+                message_class(type_name),
+                topic,
+                copy.copy(OUTPUT_QOS),
+                qos_overriding_options=overridable,
             )
             for topic, type_name in (
                 (messages.ODOM, messages.ODOMETRY_TYPE),
@@ -75,7 +81,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 message_class(messages.INPUT_TYPES[topic]),
                 topic,
                 functools.partial(self._receive, topic),
-                INPUT_QOS,
+                copy.copy(INPUT_QOS),  # an override is written into it
                 qos_overriding_options=overridable,
             )
         Changes(self, parameters, network_for, self._change)
@@ -97,7 +103,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         """Return ROS time [ns]; 0 while simulated time has not begun."""
         return int(self.get_clock().now().nanoseconds)
 
-    def _receive(self, topic: str, message: Any) -> None:
+    def _receive(self, topic: str, message: Any, info: Mapping[str, int]) -> None:
         now_ns = self._now_ns()
         if now_ns <= 0:
             self.get_logger().warning(
@@ -109,9 +115,11 @@ class LocalizerNode(Node):  # type: ignore[misc]
             self.pipeline.reject(events)
             self._log_refusal(topic, events)
             events = []
-        for event in events:
-            self._publish(self.pipeline.add(event, now_ns))
-        self._publish(self.pipeline.advance(now_ns))
+        outputs = [output for event in events for output in self.pipeline.add(event, now_ns)]
+        outputs += self.pipeline.advance(now_ns)
+        self._publish(outputs)
+        if outputs:
+            self._pace.waited(info["received_timestamp"])
 
     def _look_at_clock(self) -> None:
         now_ns = self._now_ns()

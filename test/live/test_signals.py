@@ -92,9 +92,8 @@ def test_what_a_killed_command_has_left_is_no_bag(
     with pytest.raises(BagError) as caught:
         BagReader(file)
     assert re.fullmatch(
-        rf"bag '{re.escape(str(file))}' breaks off after \d+\.\d MB, its writer was ended before "
-        "it was done: nothing of it can be read as it is; `mcap recover` writes what is complete "
-        "into a new file",
+        rf"bag '{re.escape(str(file))}' cannot be read: it breaks off after \d+\.\d MB, its writer "
+        "was ended too early; `mcap recover` writes what is complete into a new file",
         str(caught.value),
     )
     with pytest.raises(BagError, match=r"has no metadata\.yaml"):

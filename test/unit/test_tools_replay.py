@@ -1,8 +1,13 @@
 """The command replay, as from a shell."""
 
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +18,14 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.files import read_parameter_file
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Output, Rejected
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
+from fnn_ekf_ros.pipeline.saved import SavedState
+from fnn_ekf_ros.saved_state import StateFile
 
+ROOT = Path(__file__).resolve().parents[2]
 Refuse = Callable[..., str]
 Succeed = Callable[..., str]
 
@@ -58,6 +68,61 @@ def test_replay_twice_makes_the_same_bytes(
         assert [p.name for p in out.parent.iterdir()] == ["out"]
         made.append(contents(out))
     assert made[0] == made[1]
+
+
+def test_replay_ten_times_makes_the_same_bytes(
+    tmp_path: Path, recorded: Path, succeed: Succeed
+) -> None:
+    """The last two in processes of their own, with sets and dicts of strings in another order."""
+    made = []
+    given = ["--params", str(parameters_of(recorded))]
+    for count in range(10):
+        out = tmp_path / str(count) / "out"
+        out.parent.mkdir()
+        if count < 8:
+            succeed("replay", recorded, out, *given)
+        else:
+            ended = subprocess.run(
+                [sys.executable, "-m", "fnn_ekf_ros", "replay", str(recorded), str(out), *given],
+                env=os.environ | {"PYTHONHASHSEED": str(count), "PYTHONPATH": str(ROOT)},
+                capture_output=True, text=True,
+            )  # fmt: skip
+            assert ended.returncode == 0, ended.stderr
+        made.append(contents(out))
+    assert [one == made[0] for one in made] == [True] * 10
+
+
+def test_replay_starts_from_a_saved_state_and_leaves_it_as_it_is(
+    tmp_path: Path, recorded: Path, succeed: Succeed, run: Callable[..., Any]
+) -> None:
+    file = tmp_path / "kept" / "state.yaml"
+    file.parent.mkdir()
+    given = [
+        "--params", parameters_of(recorded), "-p", f"state_file:={file}", "-p", "warm_start:=true",
+    ]  # fmt: skip
+    cold = run("replay", recorded, tmp_path / "cold", *given)
+    assert cold.code == 0
+    assert cold.err == f"replay: state_file '{file}': No such file or directory; " + (
+        "starting without it\n"
+    )
+    parameters = build(
+        LocalizerParameters,
+        read_parameter_file(parameters_of(recorded), "localizer")
+        | {"state_file": str(file), "initial_pose_std": [1e-3, 1e-3, 1e-3]},
+    )
+    state = SavedState(
+        0, np.array([50.0, 60.0, 0.7]), 1e-6 * np.eye(3), np.full(2, 1e-4), np.full(4, 0.04)
+    )
+    StateFile(parameters).write(state, datetime(2026, 11, 22, tzinfo=UTC))
+    before = contents(file.parent)
+    warm = ["-p", "initial_pose_std:=[0.001, 0.001, 0.001]", "-p", "adaptation:=none"]
+    succeed("replay", recorded, tmp_path / "warm", *given, *warm)
+    assert contents(file.parent) == before
+    with BagReader(tmp_path / "warm") as bag:
+        first = bag.message(next(bag.records({"/odom"})))
+        noise = bag.message(next(bag.records({"/localizer/noise"})))
+    assert np.hypot(*(messages.planar_pose(first)[:2] - [50.0, 60.0])) < 0.5
+    np.testing.assert_array_equal(noise.data[:6], [*state.measurement_noise, *state.process_noise])
 
 
 def test_replay_copies_all_and_adds_its_own(
