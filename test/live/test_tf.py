@@ -8,6 +8,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
+from std_msgs.msg import Int32
 
 from fnn_ekf_ros import messages
 
@@ -48,6 +49,23 @@ class Tree:
     def connect(self) -> None:
         self.bench.spin_until(lambda: self.publisher.get_subscription_count() >= 2, "/tf")
 
+    def drive(self, until_s: int) -> None:
+        """Let the wheels speak once, at 5 s, and the time pass."""
+        wheels = [
+            self.bench.node.create_publisher(Int32, topic, 10)
+            for topic in ("left_ticks", "right_ticks")
+        ]
+        self.bench.set_clock(5 * S)
+        pipeline = self.bench.localizer.pipeline
+        heard: list[Any] = []
+        add = pipeline.add
+        pipeline.add = lambda event, now_ns: heard.append(event.wheel) or add(event, now_ns)
+        self.bench.spin_until(
+            lambda: any(wheel.publish(Int32()) for wheel in wheels) or len(set(heard)) == 2, "both"
+        )
+        for second in range(6, until_s + 1):
+            self.bench.set_clock(second * S)
+
     def publish(self, stamp_ns: int, pose: list[float], child: str = "base_link") -> None:
         sent = TransformStamped(child_frame_id=child)
         sent.header.frame_id = "odom"
@@ -65,8 +83,7 @@ def test_every_odom_has_its_transform(tf2_msgs: None, bench: MakeBench) -> None:
     opened = bench(*PUBLISHING)
     tree = Tree(opened)
     opened.spin_until(lambda: opened.node.count_publishers("/tf") == 2, "the publisher of /tf")
-    for second in range(5, 12):
-        opened.set_clock(second * S)
+    tree.drive(12)
     opened.spin_until(lambda: len(tree.odom) >= 10 and len(tree.heard) >= 10, "ten of each")
     for odom, transform in zip(tree.odom, tree.heard, strict=False):
         assert transform.header == odom.header
@@ -85,8 +102,7 @@ def test_the_transform_to_odom_completes_somebody_elses(tf2_msgs: None, bench: M
     opened = bench(*NAV2)
     tree = Tree(opened)
     tree.connect()
-    for second in range(5, 9):
-        opened.set_clock(second * S)
+    tree.drive(8)
     opened.spin_until(lambda: len(tree.odom) >= 7, "odom")
     assert not tree.of_the_localizer()
     before, after = [3.0, -1.0, 3.0], [4.0, -2.0, -3.0]
@@ -116,8 +132,7 @@ def test_odometry_that_never_comes_is_said(
     opened.node.create_subscription(
         DiagnosticArray, "/diagnostics", lambda message: found.extend(message.status), 100
     )
-    for second in range(5, 15):
-        opened.set_clock(second * S)
+    Tree(opened).drive(15)
     said = "no transform odom to base_link for "
     opened.spin_until(
         lambda: any(s.name == "localizer: tf" and s.message.startswith(said) for s in found),
@@ -133,12 +148,11 @@ def test_transforms_that_make_no_sense_are_passed_over(tf2_msgs: None, bench: Ma
     for stamp in (4 * S, 20 * S):
         tree.publish(stamp, [float("nan"), 0.0, 0.0])
         tree.publish(stamp, [0.0, 0.0, float("nan")])
-    for second in range(5, 9):
-        opened.set_clock(second * S)
+    tree.drive(8)
     opened.spin_until(lambda: len(tree.odom) >= 7, "odom")
     assert not tree.of_the_localizer()
     tree.publish(4 * S, [0.0, 0.0, 0.0])
-    tree.publish(10 * S, [0.0, 0.0, 0.0])
+    tree.publish(12 * S, [0.0, 0.0, 0.0])
     opened.spin_until(lambda: len(tree.of_the_localizer()) >= 7, "the transforms")
     assert all(np.all(np.isfinite(planar(found))) for found in tree.of_the_localizer())
 
