@@ -1,6 +1,5 @@
 """Recording of live topics into a bag, as they come over the wire."""
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
@@ -8,6 +7,7 @@ from typing import Self
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from fnn_ekf_ros.bag_files import BagWriter, Record
@@ -19,19 +19,26 @@ QUEUE_DEPTH = 1000
 class Recorder:
     """Records topics of other nodes, with a context of its own; a context manager.
 
-    The time of recording is the recorder's wall clock.
-
     Args:
         path: the bag to write.
         topics: type name by topic.
+        use_sim_time: messages are recorded at the time of /clock, and not before its first;
+            otherwise at the time of the wall clock.
     """
 
-    def __init__(self, path: Path, topics: Mapping[str, str]) -> None:
+    def __init__(
+        self, path: Path, topics: Mapping[str, str], *, use_sim_time: bool = False
+    ) -> None:
         self.counts = dict.fromkeys(topics, 0)
         self._bag = BagWriter(path)
         self._context = Context()
         self._context.init()
-        self._node = Node("recorder", context=self._context, use_global_arguments=False)
+        self._node = Node(
+            "recorder",
+            context=self._context,
+            use_global_arguments=False,
+            parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)],
+        )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._subscriptions = [
@@ -48,6 +55,10 @@ class Recorder:
     def spin_once(self, timeout_s: float) -> None:
         """Take in what has arrived, waiting for it up to a time [s]."""
         self._executor.spin_once(timeout_sec=timeout_s)
+
+    def publisher_count(self, topic: str) -> int:
+        """Return how many publishers of a topic are known."""
+        return int(self._node.count_publishers(topic))
 
     def connected(self) -> bool:
         """Return whether every topic has a publisher whose messages arrive here."""
@@ -66,5 +77,7 @@ class Recorder:
         self._bag.__exit__(*problem)  # type: ignore[arg-type]
 
     def _take(self, topic: str, kind: str, data: bytes) -> None:
-        self._bag.write_raw(Record(topic, kind, time.time_ns(), bytes(data)))
-        self.counts[topic] += 1
+        now_ns = self._node.get_clock().now().nanoseconds
+        if now_ns > 0:
+            self._bag.write_raw(Record(topic, kind, now_ns, bytes(data)))
+            self.counts[topic] += 1
