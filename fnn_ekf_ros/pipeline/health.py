@@ -54,7 +54,8 @@ class Health:
         self._new_refusal: dict[Sensor, str] = {}
         self._encoders = EncoderHealth(parameters)
         self._time = TimeHealth()
-        self._failed_ns: set[int] = set()
+        self._failed = 0
+        self._last_failed_ns: int | None = None
         self._new_failure = ""
 
     def changed(self, parameters: LocalizerParameters) -> None:
@@ -97,15 +98,17 @@ class Health:
     def restarted(self, reason: str, from_ns: int, to_ns: int) -> None:
         """Count a restart by a jump of the clock, after which every stamp begins anew."""
         self._last_ns.clear()
+        self._last_failed_ns = None
         self._encoders.restarted()
         self._time.restarted(reason, from_ns, to_ns)
 
     def failed(self, end_ns: int, reason: str, *, restarts: bool) -> None:
-        """Count a period that left the finite numbers; once if it is run again."""
-        if end_ns not in self._failed_ns or restarts:
+        """Count a period that left the finite numbers; once if late inputs have it run again."""
+        if self._last_failed_ns is None or end_ns > self._last_failed_ns or restarts:
             what = "the filter starts anew" if restarts else "its measurements are left out"
             self._new_failure = f"the period until {end_ns * 1e-9:.3f} s failed ({reason}): {what}"
-        self._failed_ns.add(end_ns)
+            self._last_failed_ns = end_ns
+            self._failed += 1
 
     def closed(
         self, end_ns: int, complete: bool, counts: Counts | None, estimate: Estimate | None
@@ -168,7 +171,7 @@ class Health:
             ("adaptation", asked if mode == asked else f"{asked}, disabled"),
             ("process noise std [m, rad]", _stds(state.process_noise)),
             ("measurement noise std [m, m, rad, rad]", _stds(state.measurement_noise)),
-            ("periods that failed", str(len(self._failed_ns))),
+            ("periods that failed", str(self._failed)),
         )
         if isinstance(state, Waiting):
             message = self._new_failure or f"waiting for the first {self._missing(state)}"

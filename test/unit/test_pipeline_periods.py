@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.pipeline.events import CompassYaw, Output, PoseFix, Wheel, WheelCount
@@ -182,31 +180,6 @@ def wrapped(count: int, bits: int, signed: bool) -> int:
     """Return a count as a counter of so many bits shows it."""
     shown = count % 2**bits
     return shown - 2**bits if signed and shown >= 2 ** (bits - 1) else shown
-
-
-@settings(derandomize=True, deadline=None, max_examples=40)
-@given(data=st.data(), bits=st.integers(8, 32), signed=st.booleans())
-def test_a_wrapping_counter_gives_what_one_without_wrapping_gives(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same,
-    data: st.DataObject, bits: int, signed: bool,
-) -> None:  # fmt: skip
-    half = 2 ** (bits - 1)
-    largest = min(half - 1, 3000)  # some 5 m/s
-    start = data.draw(st.tuples(*[st.integers(0, 2**bits - 1)] * 2))
-    steps = data.draw(
-        st.lists(st.tuples(*[st.integers(-largest, largest)] * 2), min_size=8, max_size=16)
-    )
-    counts = np.cumsum(np.array([(0, 0), *steps], dtype=object), axis=0)
-    plain, wrapping = [], []
-    for number, (left, right) in enumerate(counts):
-        stamp = seconds(5.0 + 0.2 * number)
-        plain += in_time(ticks(stamp, left, right), arrival)
-        shown = (wrapped(start[0] + left, bits, signed), wrapped(start[1] + right, bits, signed))
-        wrapping += in_time(ticks(stamp, *shown), arrival)
-    reference = feed(make_pipeline(encoder_bits=32, **AT_ORIGIN), plain)
-    outputs = feed(make_pipeline(encoder_bits=bits, **AT_ORIGIN), wrapping)
-    assert len(outputs) >= 4
-    same_estimates(outputs, reference)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,158 @@
+"""Periods whose numbers fail, and drives without any measurement."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.pipeline import pipeline as module
+from fnn_ekf_ros.pipeline.events import (
+    Level,
+    Output,
+    PoseFix,
+    Status,
+    WheelCount,
+)
+from fnn_ekf_ros.pipeline.pipeline import Pipeline
+
+PERIOD_NS = 375_000_000
+SECOND_NS = 10**9
+START_NS = 3 * SECOND_NS
+JOINTS = {"encoder_source": "joint_states"}
+MakePipeline = Callable[..., Pipeline]
+Feed = Callable[[Pipeline, Sequence[Any]], list[Output]]
+Same = Callable[[list[Output], list[Output]], None]
+
+
+def estimates(outputs: list[Output]) -> list[Output]:
+    return [output for output in outputs if output.estimate is not None]
+
+
+def time_values(pipeline: Pipeline) -> dict[str, str]:
+    return dict(next(s.values for s in pipeline.report() if s.name == "time"))
+
+
+def statuses(outputs: list[Output], name: str) -> list[Status]:
+    return [s for output in outputs for s in output.health or () if s.name == name]
+
+
+def status_at_end(pipeline: Pipeline, name: str) -> Status:
+    return next(s for s in pipeline.report() if s.name == name)
+
+
+def breaking(
+    monkeypatch: pytest.MonkeyPatch, fails: Callable[[Any, Any], bool], error: type[Exception]
+) -> None:
+    """Have periods fail for which `fails(before, inputs)`."""
+    run_period = module.run_period
+
+    def run(model: Any, before: Any, inputs: Any) -> Any:
+        if fails(before, inputs):
+            raise error("the test's numbers")
+        return run_period(model, before, inputs)
+
+    monkeypatch.setattr(module, "run_period", run)
+
+
+@pytest.mark.parametrize("error", [FloatingPointError, np.linalg.LinAlgError])
+def test_a_period_that_fails_is_predicted_by_the_wheels(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
+    monkeypatch: pytest.MonkeyPatch, error: type[Exception],
+) -> None:  # fmt: skip
+    """The same as if nothing had been measured in it."""
+    arrivals = simulated(12, 30.0, "joint_states").arrivals
+    bad = START_NS + 20 * SECOND_NS + 250_000_000  # its end is a multiple of the period
+    bad -= bad % PERIOD_NS
+    without = [
+        a for a in arrivals
+        if isinstance(a.event, WheelCount) or not bad - PERIOD_NS < a.event.stamp_ns <= bad
+    ]  # fmt: skip
+    expected = feed(make_pipeline(**JOINTS), without)
+    fixes = [a.event for a in arrivals if isinstance(a.event, PoseFix) and a.event.stamp_ns == bad]
+    x = fixes[0].pose[0]
+
+    breaking(monkeypatch, lambda _, i: bool(i.step.available[0] and i.step.measurement[0] == x),
+             error)  # fmt: skip
+    pipeline = make_pipeline(**JOINTS)
+    outputs = feed(pipeline, arrivals)
+    same_estimates(outputs, expected)
+    said = [s for s in statuses(outputs, "filter") if "failed" in s.message]
+    assert [status.level for status in said] == [Level.WARN]
+    assert said[0].message == (
+        f"the period until {bad * 1e-9:.3f} s failed (the test's numbers): its measurements are "
+        "left out"
+    )
+    assert dict(status_at_end(pipeline, "filter").values)["periods that failed"] == "1"
+    assert time_values(pipeline)["restarts"] == "0"
+
+
+def test_a_filter_that_fails_on_the_wheels_alone_starts_anew_with_its_noise(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrivals = simulated(12, 30.0, "joint_states").arrivals
+    pipeline = make_pipeline(adaptation="r", measurement_noise_std=[0.4, 0.4, 0.5], **JOINTS)
+    half = len(arrivals) // 2
+    before = feed(pipeline, arrivals[:half])[-1].estimate
+    assert before is not None
+    failing = [True]
+    breaking(monkeypatch, lambda *_: bool(failing[0]), FloatingPointError)
+    rest = list(arrivals[half:])
+    lost = []
+    while not lost:
+        a = rest.pop(0)
+        lost = pipeline.add(a.event, a.now_ns)
+    assert [output.estimate for output in lost] == [None]
+    said = [*statuses(lost, "filter"), status_at_end(pipeline, "filter")]
+    assert said[0].level is Level.WARN
+    assert "starts anew" in said[0].message
+    failing[0] = False
+    found = estimates(feed(pipeline, rest))
+    assert len(found) > 30
+    assert found[0].estimate is not None
+    np.testing.assert_array_equal(
+        found[0].estimate.state.measurement_noise, before.state.measurement_noise
+    )
+    assert status_at_end(pipeline, "filter").level is Level.OK
+
+
+def test_a_state_that_is_no_longer_finite_is_not_gone_on_with(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_period = module.run_period
+
+    def run(model: Any, before: Any, inputs: Any) -> Any:
+        after, result = run_period(model, before, inputs)
+        if result is not None and result.degrees_of_freedom and number[0] == 0:
+            after = after._replace(covariance=after.covariance * np.nan)
+        number[0] -= 1
+        return after, result
+
+    number = [40]
+    monkeypatch.setattr(module, "run_period", run)
+    outputs = estimates(feed(make_pipeline(**JOINTS), simulated(12, 30.0, "joint_states").arrivals))
+    assert number[0] < -20
+    for output in outputs:
+        assert output.estimate is not None
+        assert np.all(np.isfinite(output.estimate.state.mean))
+        assert np.linalg.eigvalsh(output.estimate.state.covariance)[0] > 0.0
+    stamps = [output.stamp_ns for output in outputs]
+    assert np.all(np.diff(stamps) == PERIOD_NS)
+
+
+@pytest.mark.parametrize("adaptation", ["none", "r", "q", "joint"])
+def test_without_any_measurement_the_covariance_grows(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, adaptation: str
+) -> None:
+    arrivals = simulated(12, 60.0, "joint_states").arrivals
+    since = START_NS + 20 * SECOND_NS
+    blind = [a for a in arrivals if isinstance(a.event, WheelCount) or a.now_ns < since]
+    outputs = estimates(feed(make_pipeline(adaptation=adaptation, **JOINTS), blind))
+    late = [o.estimate.state for o in outputs if o.estimate and o.stamp_ns > since]
+    assert len(late) > 100
+    assert np.all(np.diff([np.linalg.det(state.covariance) for state in late]) > 0.0)
+    np.testing.assert_allclose(
+        np.diff([state.covariance[2, 2] for state in late]),
+        [state.process_noise[1] for state in late[:-1]],
+        rtol=1e-9,
+    )
