@@ -249,10 +249,11 @@ class Pipeline:
         outputs: list[Output] = []
         while self._checkpoints:
             end_ns = self._checkpoints[-1].stamp_ns + self._period_ns
+            if self._now_ns < end_ns + self._delay_ns:
+                break
             known_ns = self._inputs.wheels_known_until_ns()
             complete = known_ns is not None and known_ns >= end_ns
-            wait_ns = self._delay_ns if complete else self._longest_wait_ns
-            if self._now_ns < end_ns + wait_ns:
+            if not complete and self._now_ns < end_ns + self._longest_wait_ns:
                 break
             estimate = self._run_open_periods(end_ns)
             self._health.closed(end_ns, complete, self._checkpoints[-1].counts, estimate)

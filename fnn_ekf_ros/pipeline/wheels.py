@@ -94,7 +94,7 @@ class WheelTrack:
         if not self._stamped and self._stamps:
             stamp_ns = max(stamp_ns, self._stamps[-1])
         place = bisect_right(self._stamps, stamp_ns)
-        if self._stamped:
+        if self._stamped and place and self._stamps[place - 1] == stamp_ns:
             first = bisect_left(self._stamps, stamp_ns)
             if raw in self._raw[first:place]:
                 return Taken(None)
@@ -108,7 +108,8 @@ class WheelTrack:
         self._stamps.insert(place, stamp_ns)
         self._raw.insert(place, raw)
         self._beliefs.insert(place, belief)
-        self._go_through_again_from(place + 1)
+        if place < len(self._stamps) - 1:
+            self._go_through_again_from(place + 1)
         jump = 0.0
         if before is not None and belief.suspect is not None:
             jump = float(belief.suspect[1] - before.value)
