@@ -16,7 +16,9 @@ from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 
 BUFFER_NS = 10 * 10**9
-"""So much of odom -> base is kept; a stamp that goes back by more is a clock that was set [ns]."""
+"""So much of odom -> base is kept [ns]."""
+SET_BACK_NS = 10**9
+"""Stamps of odom -> base that go back by more are those of a clock that was set [ns]."""
 MOST_PENDING = 8
 """So many of the newest poses wait for their odom -> base."""
 PATIENCE_NS = 3 * 10**9
@@ -71,7 +73,7 @@ class Track:
     def add(self, transform: Transform) -> None:
         """Take one in; of two at the same instant the last to come counts."""
         known = self._transforms
-        if known and transform.stamp_ns < known[-1].stamp_ns - BUFFER_NS:
+        if known and transform.stamp_ns < known[-1].stamp_ns - SET_BACK_NS:
             known.clear()
         place = bisect_left(known, transform.stamp_ns, key=_stamp)
         if place < len(known) and known[place].stamp_ns == transform.stamp_ns:

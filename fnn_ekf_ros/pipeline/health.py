@@ -10,7 +10,8 @@ off the wheels' by more than 5 standard deviations and by more than half |
 | compass, lrf_pose | none, or not for 3 s; messages refused | |
 | filter | waits for its start; a period failed and was predicted by the wheels alone, or the \
 filter had to start anew | |
-| time | messages were dropped as too late or stamped more than 1 s ahead; the clock jumped | |
+| time | messages were dropped as too late or stamped more than 1 s ahead; the clock jumped; \
+whoever drives the pipeline was late by more than a period | |
 """
 
 from collections import Counter
