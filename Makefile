@@ -1,5 +1,6 @@
 # make demo: a recorded bag through the live localizer, a table and a picture.
 # make test: lint, types, unit, property and integration tests, colcon build and colcon test.
+# make faults: docs/faults.md, each fault through live nodes, about 20 minutes; not in make test.
 # make soak: ten simulated days in one run, about an hour; not part of make test.
 # All set up .venv first, with pinned versions; nothing else is installed.
 
@@ -13,10 +14,13 @@ COLCON_PATHS := --build-base build/colcon --install-base build/install
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 
-.PHONY: demo test lint soak clean
+.PHONY: demo faults test lint soak clean
 
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
+
+faults: $(VENV)/.installed
+	$(BIN)/python scripts/fault_matrix.py
 
 test: $(VENV)/.installed-tests lint
 	$(COLCON) build --paths . $(COLCON_PATHS)

@@ -32,6 +32,11 @@ LARGEST_JUMP_NS = 5 * 10**9
 """A clock that is further away has jumped [ns]."""
 MOST_STEPS_AT_ONCE = 400
 """A robot that has fallen behind its clock catches up in portions, so that it stays responsive."""
+CLOCK_INTERVAL_NS = 4 * STEP_NS
+"""A clock of its own is published with all that is sent, and this often otherwise [ns]."""
+MOST_TICKS_BEHIND = 4.0
+"""A clock of its own goes slower than asked where the machine is too busy: so many ticks of the
+timer ahead of the robot, it waits for it."""
 
 
 class FakeRobotNode(Node):  # type: ignore[misc]
@@ -73,15 +78,22 @@ class FakeRobotNode(Node):  # type: ignore[misc]
     def _now_ns(self) -> int:
         if self._clock_topic is None:
             return int(self.get_clock().now().nanoseconds)
-        elapsed = time.monotonic() - self._began
-        return STEP_NS + int(elapsed * self._settings.real_time_factor * 1e9)
+        factor = self._settings.real_time_factor
+        robot_ns = STEP_NS if self._robot is None else self._robot.time_ns
+        lead_ns = int(min(MOST_TICKS_BEHIND * factor, MOST_STEPS_AT_ONCE) * STEP_NS)
+        now_ns = STEP_NS + int((time.monotonic() - self._began) * factor * 1e9)
+        too_far_ns = max(now_ns - robot_ns - lead_ns, 0)
+        self._began += too_far_ns * 1e-9 / factor
+        return now_ns - too_far_ns
 
     def _catch_up(self) -> None:
         now_ns = self._now_ns()
         if now_ns <= 0:
             return  # simulated time has not begun
         if self._robot is None:
-            self._robot = FakeRobot(self._settings, now_ns, self._faults)
+            # On a clock of its own it starts with that clock: the same seed gives the same stamps.
+            start_ns = now_ns if self._clock_topic is None else STEP_NS
+            self._robot = FakeRobot(self._settings, start_ns, self._faults)
         if abs(now_ns - self._robot.time_ns) > LARGEST_JUMP_NS:
             self._robot.jump_to(now_ns)  # the clock has been set, not the robot carried
         for _ in range(MOST_STEPS_AT_ONCE):
@@ -95,7 +107,8 @@ class FakeRobotNode(Node):  # type: ignore[misc]
             if silent_s > self._settings.cmd_vel_timeout:
                 robot.set_command(0.0, 0.0)
         sent = robot.step()
-        if self._clock_topic is not None:
+        due = bool(sent) or robot.time_ns % CLOCK_INTERVAL_NS == 0
+        if self._clock_topic is not None and due:
             fields = {"clock": messages.time(robot.stamp_ns)}
             self._clock_topic.publish(build_message(messages.Message(messages.CLOCK_TYPE, fields)))
         for entry in sent:

@@ -1,0 +1,96 @@
+"""Rows of the fault matrix through the command's own code: what was promised about them."""
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.pipeline.events import Level
+from fnn_ekf_ros.tools.fault_matrix import (
+    ONSET_S,
+    SAME_M,
+    SETTLED_S,
+    Run,
+    judge,
+    moved,
+    position_error,
+)
+
+pytestmark = pytest.mark.live
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "fault_matrix.py"
+RATES = (8.0, 4.0, 2.0)
+NEAR_M = 0.4
+"""Four standard deviations of a fix."""
+
+
+@pytest.fixture(scope="module")
+def matrix() -> Any:
+    spec = importlib.util.spec_from_file_location("fault_matrix_script", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run_row(
+    matrix: Any, ros_environment: None, processes: Any, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[str], Run]:
+    """Runs a row by its name."""
+    # So that what the command sets is put back.
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "PYTHONPATH"):
+        monkeypatch.setenv(name, processes.environment.get(name, ""))
+
+    def run(name: str) -> Run:
+        (row,) = [row for row in matrix.ROWS if row.name == name]
+        for rate in RATES:
+            try:
+                found = matrix.run_row(row, processes.folder / f"{rate:g}" / f"{len(name)}", rate)
+                break
+            except FnnEkfError as error:  # the machine was too busy
+                print(error)
+        else:
+            pytest.fail(f"{name} does not run")
+        assert found.finite
+        assert judge(row, found, found).missing == 0
+        return found
+
+    return run
+
+
+def test_kidnapping_is_accepted_nan_refused_and_a_stuck_wheel_named(
+    run_row: Callable[[str], Run],
+) -> None:
+    kidnapped, with_nan = run_row("kidnap, 20 m"), run_row("fixes: NaN")
+    seconds = kidnapped.odom.time_ns * 1e-9
+    error = position_error(kidnapped.odom, kidnapped.truth)
+    assert np.max(error[(seconds >= SETTLED_S) & (seconds < ONSET_S)]) < NEAR_M
+    assert np.max(error[(seconds >= ONSET_S) & (seconds < ONSET_S + 2.0)]) > 15.0
+    assert np.max(error[seconds >= ONSET_S + 15.0]) < NEAR_M
+
+    refused = [r for r in with_nan.remarks if r.status == "lrf_pose" and "nan" in r.message]
+    assert refused
+    assert all(remark.level is Level.WARN for remark in refused)
+    assert refused[0].time_s == pytest.approx(ONSET_S, abs=2.0)
+    assert np.max(position_error(with_nan.odom, with_nan.truth)[seconds < 75.0]) < 3.0
+
+    same, mine, others = np.intersect1d(
+        kidnapped.odom.time_ns, with_nan.odom.time_ns, return_indices=True
+    )
+    before = same < ONSET_S * 1e9
+    apart = kidnapped.odom.pose[mine] - with_nan.odom.pose[others]
+    assert np.max(np.abs(apart[before])) < SAME_M, "until the fault the same seed is the same run"
+
+    stuck = run_row("stuck wheel")
+    named = [r for r in stuck.remarks if "left wheel stuck" in r.message]
+    assert named
+    assert named[0].level is Level.ERROR
+    assert named[0].time_s < ONSET_S + 15.0
+    assert moved(stuck, with_nan) > 0.0
