@@ -187,22 +187,21 @@ def read_run(path: Path, row: Row) -> Run:
     truth, odom = (_track(found[topic], jump) for topic in ("/ground_truth", "/odom"))
     _check_whole(row, truth, odom)
     late_s = latency(
-        *(
-            robot_times(list(map(messages.stamp_ns, found[t])), jump)
-            for t in ("/odom", "/ground_truth")
-        ),
-        *(np.array(arrived[t]) for t in ("/odom", "/ground_truth")),
+        robot_times(_stamps_ns(found["/odom"]), jump),
+        robot_times(_stamps_ns(found["/ground_truth"]), jump),
+        np.array(arrived["/odom"]),
+        np.array(arrived["/ground_truth"]),
     )
     if late_s > LATEST_ODOM_S:
         raise FnnEkfError(
             f"{row.name}: odom came up to {late_s:.1f} s late, expected {LATEST_ODOM_S:g} s at "
             "most: the machine is too busy"
         )
-    heard_ns = [messages.stamp_ns(message) for message in found["/ground_truth"]]
+    heard_ns = _stamps_ns(found["/ground_truth"])
     if jump is None and len(set(heard_ns)) < len(heard_ns):
         raise FnnEkfError(f"{row.name}: more than one robot was heard")
     statuses = found["/diagnostics"]
-    times = robot_times([messages.stamp_ns(message) for message in statuses], jump)
+    times = robot_times(_stamps_ns(statuses), jump)
     remarks = tuple(
         Remark(
             float(time), status.name.split(": ", 1)[-1], Level(int(status.level)), status.message
@@ -355,9 +354,13 @@ def largest_usual_error(undisturbed: Run) -> float:
     return 1.5 * window(undisturbed, SETTLED_S, END_S).largest
 
 
+def _stamps_ns(found: Sequence[Any]) -> list[int]:
+    return [messages.stamp_ns(message) for message in found]
+
+
 def _track(found: Sequence[Any], jump: ClockJump | None) -> Track:
     """Return nav_msgs/Odometry messages by robot time; of equal times the first."""
-    times = robot_times([messages.stamp_ns(message) for message in found], jump)
+    times = robot_times(_stamps_ns(found), jump)
     inside = np.flatnonzero(times <= END_S)  # NaN is not
     time_ns, first = np.unique(np.round(times[inside] * 1e9).astype(np.int64), return_index=True)
     kept = [found[place] for place in inside[first]]
