@@ -59,11 +59,16 @@ NOISE_FIELDS = (
     ),
     *(f"log_scale_{name}" for name in SCALES),
     *(f"weight_{name}" for name in HYPOTHESES),
+    "nis_compass",
+    "nis_lrf_pose",
+    "rejected_compass",
+    "rejected_lrf_pose",
+    "relocated",
 )
 """What each number of `~/noise` is; variances in m^2 and rad^2.
 
 In mode `joint` the firing strengths are those of the four log scales, in their order. Log scales
-and weights are 0 in the other modes.
+and weights are 0 in the other modes. What is true or false is 1 or 0.
 """
 
 

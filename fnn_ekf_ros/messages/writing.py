@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.evidence import SCALES
+from fnn_ekf_ros.core.joint import HYPOTHESES
 from fnn_ekf_ros.messages.names import (
     COMPASS_TYPE,
     DIAGNOSTICS_TYPE,
@@ -19,6 +21,7 @@ from fnn_ekf_ros.pipeline.events import Estimate, Status
 
 UNUSED_VARIANCE = 1e-9
 """Variance published for what a planar robot does not do: z, roll, pitch, sideways."""
+_BELIEFS = len(SCALES) + len(HYPOTHESES)
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 """Where x, y and yaw stand in a 6x6 covariance."""
 
@@ -151,8 +154,9 @@ def noise(estimate: Estimate) -> Message:
             *result.mismatch,
             *np.ravel(result.firing_strength),
         ]
-        if result.joint is not None:
-            data += [*result.joint.log_scale, *result.joint.weights]
+        belief = result.joint
+        data += [0.0] * _BELIEFS if belief is None else [*belief.log_scale, *belief.weights]
+        data += [*result.sensor_nis, *result.rejected, result.relocated]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
     dimension = Message(
         "std_msgs/msg/MultiArrayDimension",

@@ -15,6 +15,7 @@ from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Estimate,
     Level,
+    PoseFix,
     Status,
 )
 
@@ -107,10 +108,41 @@ def test_noise_numbers_keep_their_places() -> None:
         8: "innovation_x", 12: "innovation_variance_x", 16: "mismatch_x", 20: "firing_increase_x",
         31: "firing_decrease_lrf_yaw", 32: "log_scale_forward", 33: "log_scale_heading",
         34: "log_scale_position", 35: "log_scale_yaw", 36: "weight_start", 37: "weight_settled",
-        38: "weight_fast", 39: "weight_slip",
+        38: "weight_fast", 39: "weight_slip", 40: "nis_compass", 41: "nis_lrf_pose",
+        42: "rejected_compass", 43: "rejected_lrf_pose", 44: "relocated",
     }  # fmt: skip
     assert {index: NOISE_FIELDS[index] for index in places} == places
-    assert len(NOISE_FIELDS) == 40
+    assert len(NOISE_FIELDS) == 45
+
+
+@pytest.mark.parametrize("mode", ["none", "joint"])
+def test_noise_numbers_tell_what_the_gate_did(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any, as_object: Any, mode: str
+) -> None:
+    """A lone compass reading that is off by 3 rad, and fixes that lie 20 m off from then on."""
+    arrivals, wild_ns = [], None
+    for now_ns, sent in simulated(11, 30.0).arrivals:
+        event = sent
+        if isinstance(sent, CompassYaw) and wild_ns is None and now_ns > 10 * 10**9:
+            wild_ns, event = now_ns, sent._replace(yaw=sent.yaw + 3.0)
+        if isinstance(sent, PoseFix) and now_ns > 20 * 10**9:
+            event = sent._replace(pose=sent.pose + np.array([20.0, 0.0, 0.0]))
+        arrivals.append(arrival(now_ns, event))
+    named = []
+    for output in feed(make_pipeline(adaptation=mode), arrivals):
+        if output.estimate is not None and output.estimate.result is not None:
+            values = as_object(messages.noise(output.estimate)).data
+            named.append((output.stamp_ns, dict(zip(NOISE_FIELDS, values, strict=True))))
+            assert values[40] == output.estimate.result.sensor_nis[0]
+            assert values[41] == output.estimate.result.sensor_nis[1]
+    compass = [(stamp, v["nis_compass"]) for stamp, v in named if v["rejected_compass"]]
+    assert [stamp - wild_ns for stamp, _ in compass] == [0]
+    assert compass[0][1] > 100.0
+    rejected = [stamp for stamp, v in named if v["rejected_lrf_pose"]]
+    moved = [stamp for stamp, v in named if v["relocated"]]
+    assert len(moved) == 1
+    assert rejected[0] > 20 * 10**9
+    assert rejected[-1] <= moved[0] < rejected[0] + 5 * 10**9
 
 
 def test_noise_numbers_tell_what_joint_adaptation_believes(
@@ -135,7 +167,7 @@ def test_noise_numbers_of_joint_adaptation_are_zero_in_other_modes(
     estimates: list[Estimate], as_object: Callable[[Message], Any]
 ) -> None:
     for estimate in estimates:
-        np.testing.assert_array_equal(as_object(messages.noise(estimate)).data[32:], 0.0)
+        np.testing.assert_array_equal(as_object(messages.noise(estimate)).data[32:40], 0.0)
 
 
 def test_diagnostics_names_levels_and_values(as_object: Callable[[Message], Any]) -> None:
