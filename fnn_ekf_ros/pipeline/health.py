@@ -16,12 +16,13 @@ whoever drives the pipeline was late by more than a period | |
 
 from collections import Counter
 
-import numpy as np
-
 from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.filter import FilterState
+from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.belief import Values, belief_in_words
+from fnn_ekf_ros.pipeline.belief import Values
+from fnn_ekf_ros.pipeline.blame import NOBODY, Blame, blame, symptoms_of
+from fnn_ekf_ros.pipeline.configure import wheel_geometry
 from fnn_ekf_ros.pipeline.encoder_health import STALE_NS, EncoderHealth
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
@@ -35,9 +36,16 @@ from fnn_ekf_ros.pipeline.events import (
     Status,
     WheelCount,
 )
+from fnn_ekf_ros.pipeline.filter_health import FilterLook, filter_status
+from fnn_ekf_ros.pipeline.frozen import FrozenSensor
 from fnn_ekf_ros.pipeline.inputs import Addition, Counts
+from fnn_ekf_ros.pipeline.measuring_health import OTHERS, measuring_status
 from fnn_ekf_ros.pipeline.start import Waiting
 from fnn_ekf_ros.pipeline.time_health import TimeHealth
+from fnn_ekf_ros.pipeline.watch import Move, Readings, Watch
+
+EXPLAINED_NS = 10 * 10**9
+"""What a sensor did that was seen to fail explains what does not fit for so long [ns]."""
 
 
 class Health:
@@ -57,7 +65,14 @@ class Health:
         self._time = TimeHealth()
         self._failed = 0
         self._last_failed_ns: int | None = None
+        geometry = wheel_geometry(parameters)
+        self._frozen = {
+            sensor: FrozenSensor(sensor, geometry.metres_per_count, geometry.wheel_separation)
+            for sensor in (Sensor.COMPASS, Sensor.LRF_POSE)
+        }
         self._new_failure = ""
+        self._explained_by: dict[Sensor, int] = {}
+        self._told_move_ns: int | None = None
 
     def changed(self, parameters: LocalizerParameters) -> None:
         """Go on with other parameters."""
@@ -78,6 +93,8 @@ class Health:
             self._encoders.saw(event, addition.jump_m)
         elif isinstance(event, PoseReset):
             self._encoders.pose_was_set(event.stamp_ns)
+        elif sensor is not None:
+            self._frozen[sensor].saw(event)
 
     def rejected(self, rejected: Rejected) -> None:
         """Count a message that was refused for what it says."""
@@ -101,6 +118,10 @@ class Health:
         self._last_ns.clear()
         self._last_failed_ns = None
         self._encoders.restarted()
+        for frozen in self._frozen.values():
+            frozen.forget()
+        self._explained_by.clear()
+        self._told_move_ns = None
         self._time.restarted(reason, from_ns, to_ns)
 
     def failed(self, end_ns: int, reason: str, *, restarts: bool) -> None:
@@ -123,6 +144,8 @@ class Health:
             estimate: what came of it.
         """
         self._encoders.closed(end_ns, complete, counts, estimate)
+        for frozen in self._frozen.values():
+            frozen.closed(counts)
 
     def report(
         self,
@@ -130,22 +153,80 @@ class Health:
         state: FilterState | Waiting,
         estimate: Estimate | None,
         mode: AdaptationMode,
+        watch: Watch | None,
     ) -> tuple[Status, ...]:
         """Return the statuses; what is new since the last report decides their levels."""
+        encoders = self._encoders.status(
+            self._sensor(Sensor.ENCODERS, now_ns, expected=True),
+            now_ns,
+            refused=Sensor.ENCODERS in self._new_refusal,
+        )
+        frozen = {sensor: each.accusation() for sensor, each in self._frozen.items()}
+        found = self._blame(now_ns, encoders, frozen, watch)
+        if encoders.level is Level.OK and found.culprit is Sensor.ENCODERS:
+            message = f"disagree with {OTHERS[Sensor.ENCODERS]}: the wheels slip, or worse"
+            encoders = encoders._replace(level=Level.WARN, message=message)
+        readings = (Readings(), Readings()) if watch is None else watch.readings
+        measuring = (
+            measuring_status(
+                self._sensor(sensor, now_ns, expected=expected),
+                frozen[sensor],
+                symptoms_of(readings[index]),
+                found,
+            )
+            for sensor, index, expected in (
+                (Sensor.COMPASS, COMPASS, not self._parameters.lrf_use_yaw),
+                (Sensor.LRF_POSE, LRF_POSE, True),
+            )
+        )
+        look = FilterLook(
+            now_ns,
+            state,
+            estimate,
+            watch,
+            found,
+            mode,
+            self._new_move(watch),
+            self._missing(state) if isinstance(state, Waiting) else "",
+            self._new_failure,
+            self._failed,
+        )
         statuses = (
-            self._encoders.status(
-                self._sensor(Sensor.ENCODERS, now_ns, expected=True),
-                now_ns,
-                refused=Sensor.ENCODERS in self._new_refusal,
-            ),
-            self._sensor(Sensor.COMPASS, now_ns, expected=not self._parameters.lrf_use_yaw),
-            self._sensor(Sensor.LRF_POSE, now_ns, expected=True),
-            self._filter(state, estimate, mode),
+            encoders,
+            *measuring,
+            filter_status(self._parameters, look),
             self._time.status(),
         )
         self._new_refusal.clear()
         self._new_failure = ""
         return statuses
+
+    def _blame(
+        self, now_ns: int, encoders: Status, frozen: dict[Sensor, str], watch: Watch | None
+    ) -> Blame:
+        """Return who is to blame for what does not fit, but for what is explained already."""
+        if watch is None:
+            return NOBODY
+        if encoders.level is not Level.OK:
+            self._explained_by[Sensor.ENCODERS] = now_ns
+        self._explained_by |= {sensor: now_ns for sensor, words in frozen.items() if words}
+        found = blame(watch)
+        explained = {
+            sensor
+            for sensor, last_ns in self._explained_by.items()
+            if now_ns - last_ns <= EXPLAINED_NS
+        }
+        if explained and found.culprit not in explained:
+            return NOBODY._replace(leads=found.leads)
+        return found
+
+    def _new_move(self, watch: Watch | None) -> Move | None:
+        """Return a move of the pose that has not been told yet."""
+        moved = None if watch is None else watch.moved
+        if moved is None or moved.stamp_ns == self._told_move_ns:
+            return None
+        self._told_move_ns = moved.stamp_ns
+        return moved
 
     def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
         last_ns = self._last_ns.get(sensor)
@@ -164,32 +245,6 @@ class Health:
             return Status(sensor, Level.WARN, f"silent for {age_ns * 1e-9:.1f} s", values)
         return Status(sensor, Level.OK, "received", values)
 
-    def _filter(
-        self, state: FilterState | Waiting, estimate: Estimate | None, mode: AdaptationMode
-    ) -> Status:
-        asked = self._parameters.adaptation
-        values: Values = (
-            ("adaptation", asked if mode == asked else f"{asked}, disabled"),
-            ("process noise std [m, rad]", _stds(state.process_noise)),
-            ("measurement noise std [m, m, rad, rad]", _stds(state.measurement_noise)),
-            ("periods that failed", str(self._failed)),
-        )
-        if isinstance(state, Waiting):
-            message = self._new_failure or f"waiting for the first {self._missing(state)}"
-            return Status("filter", Level.WARN, message, values)
-        values += (("position std [m]", f"{_position_std(state):.3g}"),)
-        if estimate is not None and estimate.result is not None:
-            result = estimate.result
-            values += (
-                ("NIS", f"{float(result.nis):.3g}"),
-                ("degrees of freedom", f"{int(result.degrees_of_freedom)}"),
-            )
-            if result.joint is not None:
-                values += belief_in_words(result.joint)
-        if self._new_failure:
-            return Status("filter", Level.WARN, self._new_failure, values)
-        return Status("filter", Level.OK, "running", values)
-
     def _missing(self, waiting: Waiting) -> str:
         missing = [] if Sensor.ENCODERS in self._last_ns else ["wheel counts"]
         if waiting.given_pose is None:
@@ -207,11 +262,3 @@ def _sensor_of(event: Event) -> Sensor | None:
     if isinstance(event, CompassYaw):
         return Sensor.COMPASS
     return Sensor.LRF_POSE if isinstance(event, PoseFix) else None
-
-
-def _stds(variances: object) -> str:
-    return ", ".join(f"{value:.4g}" for value in np.sqrt(np.asarray(variances)))
-
-
-def _position_std(state: FilterState) -> float:
-    return float(np.sqrt(np.max(np.linalg.eigvalsh(state.covariance[:2, :2]))))

@@ -35,6 +35,7 @@ from fnn_ekf_ros.pipeline.period import (
 )
 from fnn_ekf_ros.pipeline.saved import SavedState
 from fnn_ekf_ros.pipeline.start import Waiting
+from fnn_ekf_ros.pipeline.watch import Watch, watch_after
 
 LONGEST_SILENCE_PERIODS = 1600
 """A clock that jumps ahead by more starts the localizer anew instead of filling the time; ten
@@ -56,6 +57,8 @@ class _Checkpoint(NamedTuple):
     """What the wheels had counted for the periods so far."""
     model: FilterModel
     """The model the period was run with, for when it is run again."""
+    watch: Watch | None = None
+    """What the last periods showed of the sensors; None before the filter runs."""
 
 
 class Pipeline:
@@ -138,7 +141,7 @@ class Pipeline:
     def report(self) -> tuple[Status, ...]:
         """Return the statuses as they are now."""
         now_ns = self._checkpoints[-1].stamp_ns if self._checkpoints else 0
-        return self._health.report(now_ns, self._state(), None, self._mode())
+        return self._health.report(now_ns, self._state(), None, self._mode(), self._watch())
 
     def saved(self) -> SavedState | None:
         """Return what is worth keeping for the next start; None while no pose is known."""
@@ -213,6 +216,9 @@ class Pipeline:
 
     def _state(self) -> FilterState | Waiting:
         return self._checkpoints[-1].state if self._checkpoints else Waiting(*self._start_noise)
+
+    def _watch(self) -> Watch | None:
+        return self._checkpoints[-1].watch if self._checkpoints else None
 
     def _accepts(self, event: Event, now_ns: int) -> bool:
         lead_ns = event.stamp_ns - now_ns
@@ -307,12 +313,14 @@ class Pipeline:
         state = before.state
         if isinstance(state, FilterState):
             state = for_mode(model, state)
+        begin = state
         state, result = run_period(model, state, inputs)
         if isinstance(state, FilterState):
             check_finite(state)
         if self._on_period is not None:
             self._on_period(Period(end_ns, inputs, before.state, state))
-        checkpoint = _Checkpoint(end_ns, state, inputs.counts, model)
+        watch = watch_after(model, before.watch, begin, state, inputs, result, end_ns)
+        checkpoint = _Checkpoint(end_ns, state, inputs.counts, model, watch)
         if isinstance(state, Waiting):
             return checkpoint, None
         T = self.parameters.period
@@ -327,7 +335,7 @@ class Pipeline:
     def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:
         if end_ns // HEALTH_INTERVAL_NS == (end_ns - self._period_ns) // HEALTH_INTERVAL_NS:
             return None
-        return self._health.report(end_ns, self._state(), estimate, self._mode())
+        return self._health.report(end_ns, self._state(), estimate, self._mode(), self._watch())
 
     def _forget(self) -> None:
         """Drop what lies further back than `history`."""

@@ -55,7 +55,7 @@ def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulate
     last = [o for o in feed(make_pipeline(), silent) if o.health is not None][-1]
     levels = {status.name: status.level for status in last.health}
     assert levels == {
-        "encoders": Level.OK, "compass": Level.WARN, "lrf_pose": Level.OK, "filter": Level.OK,
+        "encoders": Level.OK, "compass": Level.WARN, "lrf_pose": Level.OK, "filter": Level.WARN,
         "time": Level.OK,
     }  # fmt: skip
     assert "silent for" in next(s.message for s in last.health if s.name == "compass")

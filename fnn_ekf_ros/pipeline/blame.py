@@ -1,0 +1,117 @@
+"""Who is to blame: symptoms of the sensors and the suspects' leads, put together to one name.
+
+A wheel that slips makes the compass and the fixes look wrong as well, and a compass that is turned
+makes the filter mistrust the fixes. So a symptom alone (readings rejected, a scatter that is not
+the expected one) blames a sensor only while no other one is suspected.
+"""
+
+from enum import Enum
+from functools import cache
+from typing import NamedTuple
+
+from fnn_ekf_ros.core.chi_square import exceeded_with
+from fnn_ekf_ros.core.suspects import SUSPECTS
+from fnn_ekf_ros.pipeline.events import Sensor
+from fnn_ekf_ros.pipeline.watch import READINGS, Readings, Watch
+
+MANY_REJECTIONS = 3
+"""So many of the last `READINGS` readings rejected are more than wild ones now and then."""
+BAND_CHANCE = 1e-3
+"""Chance that the scatter of right readings lies outside of its band."""
+SUSPECTED_LEAD = 12.0
+"""From this lead on something is wrong [nats]: a right sensor gets there once in hours."""
+CLEAR_LEAD = 6.0
+"""By so much the first suspect has to lead the second to be named [nats]; and a suspect with so
+much is not cleared of another one's symptoms."""
+
+
+class Scatter(Enum):
+    """How the readings scatter against what is believed."""
+
+    AS_BELIEVED = 0
+    MORE = 1
+    LESS = -1
+
+
+class Symptoms(NamedTuple):
+    """What can be seen of a sensor's last readings.
+
+    Attributes:
+        rejected: how many of them the gate rejected.
+        seen: of how many.
+        nis: mean of those that were accepted, per degree of freedom; NaN without any.
+        band: in which it lies for right readings but for `BAND_CHANCE`.
+        scatter: where it lies.
+    """
+
+    rejected: int
+    seen: int
+    nis: float
+    band: tuple[float, float]
+    scatter: Scatter
+
+    @property
+    def wild(self) -> bool:
+        """Whether too many were rejected or they scatter too much."""
+        return self.rejected >= MANY_REJECTIONS or self.scatter is Scatter.MORE
+
+
+class Blame(NamedTuple):
+    """What does not fit.
+
+    Attributes:
+        culprit: the sensor that does not fit the others; None: none, or not clear which.
+        suspects: all that may be to blame; several where it is not clear yet, or none.
+        leads: of `SUSPECTS` [nats].
+    """
+
+    culprit: Sensor | None
+    suspects: tuple[Sensor, ...]
+    leads: tuple[float, ...]
+
+
+NOBODY = Blame(None, (), (0.0,) * len(SUSPECTS))
+
+
+def symptoms_of(readings: Readings) -> Symptoms:
+    """Return what the last readings of a sensor show; a scatter only of `READINGS` of them."""
+    rejected, seen = sum(readings.rejected), len(readings.rejected)
+    rows = sum(readings.rows)
+    if not rows:
+        return Symptoms(rejected, seen, float("nan"), (0.0, float("inf")), Scatter.AS_BELIEVED)
+    low, high = (end / rows for end in _band(rows))
+    nis = sum(readings.nis) / rows
+    scatter = Scatter.AS_BELIEVED
+    if len(readings.nis) == READINGS and nis > high:
+        scatter = Scatter.MORE
+    elif len(readings.nis) == READINGS and nis < low:
+        scatter = Scatter.LESS
+    return Symptoms(rejected, seen, nis, (low, high), scatter)
+
+
+def blame(watch: Watch) -> Blame:
+    """Return who does not fit the others, by the leads and by the symptoms."""
+    leads = tuple(float(lead) for lead in watch.suspects.lead)
+    by_lead = sorted(zip(leads, map(Sensor, SUSPECTS), strict=True), reverse=True)
+    first, second = by_lead[0], by_lead[1]
+    if first[0] >= SUSPECTED_LEAD:
+        if first[0] - second[0] >= CLEAR_LEAD:
+            return Blame(first[1], (first[1],), leads)
+        unclear = tuple(sensor for lead, sensor in by_lead if first[0] - lead < CLEAR_LEAD)
+        return Blame(None, unclear, leads)
+    wild = tuple(
+        sensor
+        for sensor, readings in zip((Sensor.COMPASS, Sensor.LRF_POSE), watch.readings, strict=True)
+        if symptoms_of(readings).wild
+    )
+    others = {sensor for lead, sensor in by_lead if lead >= CLEAR_LEAD}
+    if len(wild) == 1 and not others - set(wild):
+        return Blame(wild[0], wild, leads)
+    return Blame(None, wild, leads)
+
+
+@cache
+def _band(rows: int) -> tuple[float, float]:
+    """Return between what the sum of NIS lies for so many rows, but for `BAND_CHANCE`."""
+    half = 0.5 * BAND_CHANCE
+    return exceeded_with(1.0 - half, rows), exceeded_with(half, rows)

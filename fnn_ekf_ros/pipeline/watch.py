@@ -1,0 +1,172 @@
+"""What is remembered of the last periods to judge the sensors by; it never touches the estimate.
+
+A `Watch` is a value like the filter's state and is kept beside it, so that a period that is run
+again for late measurements is not counted twice.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
+from fnn_ekf_ros.core.arrays import Row
+from fnn_ekf_ros.core.filter import FilterModel, FilterState, StepInput, StepResult
+from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE
+from fnn_ekf_ros.core.joint import calm_noise
+from fnn_ekf_ros.core.motion import move
+from fnn_ekf_ros.core.suspects import SuspectState, no_suspects, suspect, suspects_at
+from fnn_ekf_ros.pipeline.inputs import PeriodInputs
+from fnn_ekf_ros.pipeline.period import FAILURES
+from fnn_ekf_ros.pipeline.start import Waiting
+
+READINGS = 20
+"""So many readings of a sensor are looked back at."""
+
+
+class Readings(NamedTuple):
+    """The last readings of a sensor, at most `READINGS` each, the newest last.
+
+    Attributes:
+        nis: of those that were accepted.
+        rows: how many rows each of these measured.
+        rejected: of all, whether the gate rejected them.
+    """
+
+    nis: tuple[float, ...] = ()
+    rows: tuple[int, ...] = ()
+    rejected: tuple[bool, ...] = ()
+
+
+class Move(NamedTuple):
+    """A pose that was moved to where the fixes agree.
+
+    Attributes:
+        stamp_ns: when [ns].
+        way: how far [m].
+        turn: and by what angle [rad].
+    """
+
+    stamp_ns: int
+    way: float
+    turn: float
+
+
+class Watch(NamedTuple):
+    """What is remembered.
+
+    Attributes:
+        suspects: who does not fit the other two.
+        readings: of the compass and of the fixes, in the order of `core.gate`.
+        fix_ns: when a fix was accepted last, or the filter started [ns].
+        yaw_ns: likewise of a yaw [ns].
+        moved: the last time that the gate moved the pose; None: it has not.
+    """
+
+    suspects: SuspectState
+    readings: tuple[Readings, Readings]
+    fix_ns: int
+    yaw_ns: int
+    moved: Move | None = None
+
+
+def begin_watch(state: FilterState, end_ns: int) -> Watch:
+    """Return the watch over a filter that starts, or whose pose was set, at an instant [ns]."""
+    nobody = no_suspects(state.mean, state.covariance)
+    return Watch(nobody, (Readings(), Readings()), end_ns, end_ns)
+
+
+def watch_after(
+    model: FilterModel,
+    watch: Watch | None,
+    before: FilterState | Waiting,
+    after: FilterState | Waiting,
+    inputs: PeriodInputs,
+    result: StepResult | None,
+    end_ns: int,
+) -> Watch | None:
+    """Return the watch after a period; None while no filter runs.
+
+    Args:
+        model: the filter.
+        watch: before the period; not changed.
+        before: the localizer at its begin.
+        after: the localizer at its end.
+        inputs: of the period.
+        result: what the period showed; None if no filter ran.
+        end_ns: its end [ns].
+    """
+    if isinstance(after, Waiting):
+        return None
+    if watch is None or isinstance(before, Waiting) or result is None or inputs.reset is not None:
+        return begin_watch(after, end_ns)
+    return _watch(model, watch, before, after, inputs.step, result, end_ns)
+
+
+def _watch(
+    model: FilterModel,
+    watch: Watch,
+    before: FilterState,
+    after: FilterState,
+    period: StepInput,
+    result: StepResult,
+    end_ns: int,
+) -> Watch:
+    """Return the watch after a period of a filter that ran all the time."""
+    accepted = period.available & ~result.rejected[..., [LRF_POSE, LRF_POSE, COMPASS, LRF_POSE]]
+    readings = tuple(
+        _with_reading(watch.readings[sensor], result, sensor) for sensor in (COMPASS, LRF_POSE)
+    )
+    watch = watch._replace(
+        readings=(readings[COMPASS], readings[LRF_POSE]),
+        fix_ns=end_ns if accepted[Row.X] else watch.fix_ns,
+        yaw_ns=end_ns if accepted[Row.COMPASS_YAW] or accepted[Row.LRF_YAW] else watch.yaw_ns,
+    )
+    if result.relocated:
+        expected = move(model.motion_model, before.mean, period.control).mean
+        way = float(np.hypot(*(after.mean - expected)[:2]))
+        turn = float(wrap_angle(after.mean[2] - expected[2]))
+        return watch._replace(
+            suspects=suspects_at(watch.suspects, after.mean, after.covariance),
+            fix_ns=end_ns,
+            moved=Move(end_ns, way, turn),
+        )
+    return watch._replace(suspects=_suspects(model, watch.suspects, before, after, period))
+
+
+def _with_reading(readings: Readings, result: StepResult, sensor: int) -> Readings:
+    rows = int(result.sensor_degrees_of_freedom[sensor])
+    if not rows:
+        return readings
+    rejected = bool(result.rejected[sensor])
+    known = readings._replace(rejected=(*readings.rejected, rejected)[-READINGS:])
+    if rejected:
+        return known
+    return known._replace(
+        nis=(*readings.nis, float(result.sensor_nis[sensor]))[-READINGS:],
+        rows=(*readings.rows, rows)[-READINGS:],
+    )
+
+
+def _suspects(
+    model: FilterModel,
+    suspects: SuspectState,
+    before: FilterState,
+    after: FilterState,
+    period: StepInput,
+) -> SuspectState:
+    """Return the suspects after a period; none where their filters leave the finite numbers."""
+    noise = before.process_noise, before.measurement_noise
+    if before.joint is not None:
+        bounds = model.adaptation.bounds
+        Q, R = calm_noise(before.joint)
+        noise = (
+            np.clip(Q, bounds.process_min, bounds.process_max),
+            np.clip(R, bounds.measurement_min, bounds.measurement_max),
+        )
+    published = after.mean, after.covariance
+    try:
+        found = suspect(model.plant, suspects, noise, period, published)
+    except FAILURES:
+        return no_suspects(*published)
+    finite = np.all(np.isfinite(found.lead)) and np.all(np.isfinite(found.mean))
+    return found if finite else no_suspects(*published)

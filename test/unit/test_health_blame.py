@@ -1,0 +1,182 @@
+"""Who is named: symptoms of the sensors and the suspects' leads, put together."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.core.suspects import SUSPECTS, no_suspects
+from fnn_ekf_ros.pipeline.blame import (
+    CLEAR_LEAD,
+    MANY_REJECTIONS,
+    NOBODY,
+    SUSPECTED_LEAD,
+    Blame,
+    Scatter,
+    blame,
+    symptoms_of,
+)
+from fnn_ekf_ros.pipeline.events import CompassYaw, Level, PoseFix, Sensor, Status
+from fnn_ekf_ros.pipeline.frozen import FROZEN_READINGS, FrozenSensor
+from fnn_ekf_ros.pipeline.inputs import Counts
+from fnn_ekf_ros.pipeline.measuring_health import measuring_status
+from fnn_ekf_ros.pipeline.watch import READINGS, Readings, Watch
+
+RIGHT = Readings((1.0,) * READINGS, (1,) * READINGS, (False,) * READINGS)
+WIDE = RIGHT._replace(nis=(2.5,) * READINGS)
+NARROW = RIGHT._replace(nis=(0.2,) * READINGS)
+FINE = Status("", Level.OK, "received", ())
+
+
+def rejecting(count: int) -> Readings:
+    return RIGHT._replace(rejected=(True,) * count + (False,) * (READINGS - count))
+
+
+def watch(
+    leads: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    compass: Readings = RIGHT,
+    lrf_pose: Readings = RIGHT,
+) -> Watch:
+    nobody = no_suspects(np.zeros(3), np.eye(3))
+    return Watch(nobody._replace(lead=np.array(leads)), (compass, lrf_pose), 0, 0)
+
+
+def test_nothing_wrong_blames_nobody() -> None:
+    assert blame(watch()) == NOBODY
+
+
+@pytest.mark.parametrize("index", range(len(SUSPECTS)))
+def test_a_clear_lead_names_the_sensor(index: int) -> None:
+    leads = [0.0] * 3
+    leads[index] = SUSPECTED_LEAD
+    leads[index - 1] = SUSPECTED_LEAD - CLEAR_LEAD
+    both_wild = watch((leads[0], leads[1], leads[2]), rejecting(9), rejecting(9))
+    assert blame(both_wild).culprit == SUSPECTS[index]
+
+
+def test_a_small_lead_names_nobody() -> None:
+    assert blame(watch((SUSPECTED_LEAD - 0.1, 0.0, 0.0))).culprit is None
+
+
+def test_leads_that_are_close_name_nobody_and_say_who_it_may_be() -> None:
+    found = blame(watch((SUSPECTED_LEAD + 2.0, SUSPECTED_LEAD + 5.0, 1.0), rejecting(9)))
+    assert found.culprit is None
+    assert found.suspects == (Sensor.COMPASS, Sensor.ENCODERS)
+
+
+def test_rejections_name_a_sensor_from_three_of_twenty_on() -> None:
+    assert blame(watch(compass=rejecting(MANY_REJECTIONS - 1))).culprit is None
+    assert blame(watch(compass=rejecting(MANY_REJECTIONS))).culprit is Sensor.COMPASS
+    assert blame(watch(lrf_pose=rejecting(MANY_REJECTIONS))).culprit is Sensor.LRF_POSE
+
+
+def test_symptoms_name_nobody_while_another_one_is_suspected() -> None:
+    assert blame(watch((CLEAR_LEAD, 0.0, 0.0), compass=rejecting(9))).culprit is None
+    assert blame(watch((0.0, CLEAR_LEAD, 0.0), compass=rejecting(9))).culprit is Sensor.COMPASS
+
+
+def test_symptoms_of_both_name_nobody() -> None:
+    found = blame(watch(compass=rejecting(9), lrf_pose=WIDE))
+    assert found.culprit is None
+    assert found.suspects == (Sensor.COMPASS, Sensor.LRF_POSE)
+
+
+def test_scatter_is_judged_by_the_chi_square_band_of_twenty_readings() -> None:
+    """99.9 % of the sums of 20 chi-square variables lie between 5.398 and 47.498 (tables)."""
+    for nis, expected in (
+        (5.39 / 20, Scatter.LESS),
+        (5.41 / 20, Scatter.AS_BELIEVED),
+        (47.4 / 20, Scatter.AS_BELIEVED),
+        (47.6 / 20, Scatter.MORE),
+    ):
+        found = symptoms_of(RIGHT._replace(nis=(nis,) * READINGS))
+        assert found.scatter is expected
+        assert found.nis == pytest.approx(nis)
+        np.testing.assert_allclose(found.band, (5.398 / 20, 47.498 / 20), rtol=1e-4)
+
+
+def test_too_few_readings_have_no_scatter() -> None:
+    few = Readings((9.0,) * (READINGS - 1), (1,) * (READINGS - 1), (False,) * (READINGS - 1))
+    assert symptoms_of(few).scatter is Scatter.AS_BELIEVED
+    assert math.isnan(symptoms_of(Readings()).nis)
+
+
+def status_of(sensor: Sensor, readings: Readings, found: Blame, frozen: str = "") -> Status:
+    return measuring_status(FINE._replace(name=sensor), frozen, symptoms_of(readings), found)
+
+
+@pytest.mark.parametrize(
+    ("readings", "words"),
+    [
+        (rejecting(5), "5 of the last 20 readings rejected: they disagree with the wheels and"),
+        (WIDE, "its readings scatter more than believed: NIS 2.50 per degree of freedom, expected"),
+        (RIGHT, "disagrees with the wheels and the fixes"),
+    ],
+)
+def test_the_culprit_is_warned_about_with_its_symptom(readings: Readings, words: str) -> None:
+    found = Blame(Sensor.COMPASS, (Sensor.COMPASS,), (0.0, 20.0, 0.0))
+    status = status_of(Sensor.COMPASS, readings, found)
+    assert status.level is Level.WARN
+    assert status.message.startswith(words)
+
+
+def test_a_sensor_that_is_merely_affected_is_not_warned_about() -> None:
+    found = Blame(Sensor.ENCODERS, (Sensor.ENCODERS,), (20.0, 0.0, 0.0))
+    for readings in (rejecting(9), WIDE, NARROW):
+        assert status_of(Sensor.LRF_POSE, readings, found).level is Level.OK
+
+
+def test_readings_that_scatter_less_than_believed_are_warned_about_in_calm_times() -> None:
+    status = status_of(Sensor.LRF_POSE, NARROW, NOBODY)
+    assert status.level is Level.WARN
+    assert "scatter less than believed: NIS 0.20 per degree of freedom" in status.message
+    stirred = NOBODY._replace(leads=(0.0, CLEAR_LEAD, 0.0))
+    assert status_of(Sensor.LRF_POSE, NARROW, stirred).level is Level.OK
+
+
+def test_other_troubles_of_a_sensor_come_first() -> None:
+    refused = Status(Sensor.COMPASS, Level.WARN, "refused: no unit quaternion", ())
+    found = Blame(Sensor.COMPASS, (Sensor.COMPASS,), (0.0, 20.0, 0.0))
+    status = measuring_status(refused, "frozen", symptoms_of(rejecting(9)), found)
+    assert status.message == "refused: no unit quaternion"
+    assert ("rejected of the last 20", "9") in status.values
+
+
+def fix(x: float) -> PoseFix:
+    return PoseFix(0, np.array([x, 0.0, 0.0]), np.eye(3))
+
+
+def test_a_fix_that_stays_while_the_wheels_drive_is_frozen() -> None:
+    sensor = FrozenSensor(Sensor.LRF_POSE, 0.01, 0.6)
+    for period in range(12):
+        sensor.closed(Counts(10.0 * period, 10.0 * period))
+        assert not sensor.accusation()
+        sensor.saw(fix(0.1 * period))
+    for period in range(12, 17):
+        sensor.closed(Counts(10.0 * period, 10.0 * period))
+        sensor.saw(fix(1.1))
+    assert sensor.accusation() == "frozen: the last 6 readings are the same while the wheels " \
+        "moved 0.50 m"  # fmt: skip
+    sensor.saw(fix(1.2))
+    assert not sensor.accusation()
+
+
+def test_sensors_of_a_robot_at_rest_are_not_frozen() -> None:
+    for sensor, reading in (
+        (FrozenSensor(Sensor.LRF_POSE, 0.01, 0.6), fix(1.0)),
+        (FrozenSensor(Sensor.COMPASS, 0.01, 0.6), CompassYaw(0, 1.0)),
+    ):
+        for _ in range(3 * FROZEN_READINGS):
+            sensor.closed(Counts(7.0, 9.0))
+            sensor.saw(reading)
+        assert not sensor.accusation()
+
+
+def test_a_compass_is_frozen_by_turns_and_not_by_ways() -> None:
+    sensor = FrozenSensor(Sensor.COMPASS, 0.01, 0.6)
+    for period in range(20):
+        sensor.closed(Counts(10.0 * period, 10.0 * period))
+        sensor.saw(CompassYaw(0, 1.0))
+    assert not sensor.accusation()
+    sensor.closed(Counts(190.0, 225.0))
+    assert sensor.accusation().endswith("the same while the wheels turned 33 degrees")
