@@ -21,8 +21,10 @@ BAND_CHANCE = 1e-3
 SUSPECTED_LEAD = 12.0
 """From this lead on something is wrong [nats]: a right sensor gets there once in hours."""
 CLEAR_LEAD = 6.0
-"""By so much the first suspect has to lead the second to be named [nats]; and a suspect with so
-much is not cleared of another one's symptoms."""
+"""By so much the first suspect has to lead the second to be named [nats]."""
+CLEARED_LEAD = 3.0
+"""A suspect with less has nothing to do with another one's symptoms [nats]; right sensors seldom
+have more."""
 
 
 class Scatter(Enum):
@@ -104,10 +106,10 @@ def blame(watch: Watch) -> Blame:
         for sensor, readings in zip((Sensor.COMPASS, Sensor.LRF_POSE), watch.readings, strict=True)
         if symptoms_of(readings).wild
     )
-    others = {sensor for lead, sensor in by_lead if lead >= CLEAR_LEAD}
-    if len(wild) == 1 and not others - set(wild):
+    others = tuple(s for lead, s in by_lead if lead >= CLEARED_LEAD and s not in wild)
+    if len(wild) == 1 and not others:
         return Blame(wild[0], wild, leads)
-    return Blame(None, wild, leads)
+    return Blame(None, (*wild, *others) if wild else (), leads)
 
 
 @cache

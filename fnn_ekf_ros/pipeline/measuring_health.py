@@ -3,7 +3,7 @@
 from fnn_ekf_ros.pipeline.belief import Values
 from fnn_ekf_ros.pipeline.blame import (
     BAND_CHANCE,
-    CLEAR_LEAD,
+    CLEARED_LEAD,
     MANY_REJECTIONS,
     Blame,
     Scatter,
@@ -36,7 +36,7 @@ def measuring_status(common: Status, frozen: str, symptoms: Symptoms, found: Bla
         return status._replace(level=Level.WARN, message=frozen)
     if found.culprit is sensor:
         return status._replace(level=Level.WARN, message=_accusation(sensor, symptoms))
-    calm = not found.suspects and max(found.leads) < CLEAR_LEAD
+    calm = not found.suspects and max(found.leads) < CLEARED_LEAD
     if symptoms.scatter is Scatter.LESS and calm:
         message = f"its readings scatter less than believed: {_against_band(symptoms)}"
         return status._replace(level=Level.WARN, message=message)

@@ -8,6 +8,7 @@ import pytest
 from fnn_ekf_ros.core.suspects import SUSPECTS, no_suspects
 from fnn_ekf_ros.pipeline.blame import (
     CLEAR_LEAD,
+    CLEARED_LEAD,
     MANY_REJECTIONS,
     NOBODY,
     SUSPECTED_LEAD,
@@ -71,8 +72,11 @@ def test_rejections_name_a_sensor_from_three_of_twenty_on() -> None:
 
 
 def test_symptoms_name_nobody_while_another_one_is_suspected() -> None:
-    assert blame(watch((CLEAR_LEAD, 0.0, 0.0), compass=rejecting(9))).culprit is None
-    assert blame(watch((0.0, CLEAR_LEAD, 0.0), compass=rejecting(9))).culprit is Sensor.COMPASS
+    found = blame(watch((CLEARED_LEAD, 0.0, 0.0), compass=rejecting(9)))
+    assert found.culprit is None
+    assert found.suspects == (Sensor.COMPASS, Sensor.ENCODERS)
+    assert blame(watch((0.0, CLEARED_LEAD, 0.0), compass=rejecting(9))).culprit is Sensor.COMPASS
+    assert blame(watch((CLEARED_LEAD, 0.0, 0.0))).suspects == ()
 
 
 def test_symptoms_of_both_name_nobody() -> None:
@@ -130,7 +134,7 @@ def test_readings_that_scatter_less_than_believed_are_warned_about_in_calm_times
     status = status_of(Sensor.LRF_POSE, NARROW, NOBODY)
     assert status.level is Level.WARN
     assert "scatter less than believed: NIS 0.20 per degree of freedom" in status.message
-    stirred = NOBODY._replace(leads=(0.0, CLEAR_LEAD, 0.0))
+    stirred = NOBODY._replace(leads=(0.0, CLEARED_LEAD, 0.0))
     assert status_of(Sensor.LRF_POSE, NARROW, stirred).level is Level.OK
 
 
