@@ -1,6 +1,6 @@
 """`study paper|grid|dynamic`: Monte Carlo runs through every filter; tables, figures, JSON.
 
-`study real` is another module's.
+`study real` and `study faults` are other modules'.
 """
 
 import argparse
@@ -22,7 +22,13 @@ from fnn_ekf_ros.study import dynamic, grid, paper
 from fnn_ekf_ros.study.filters import BANK, DEAD_RECKONING, ORACLE, StudyFilter, study_filters
 from fnn_ekf_ros.study.trials import Outcome, Size, Trial, oracle_outcome, try_filter
 from fnn_ekf_ros.text_files import write_text
-from fnn_ekf_ros.tools import study_figures, study_paper_figures, study_real, study_tables
+from fnn_ekf_ros.tools import (
+    study_faults,
+    study_figures,
+    study_paper_figures,
+    study_real,
+    study_tables,
+)
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.made_by import make_folder, version
 from fnn_ekf_ros.tools.progress import with_progress
@@ -116,12 +122,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     real.set_defaults(study=study_real.NAME)
     study_real.add_arguments(real)
+    faults = names.add_parser(
+        study_faults.NAME, help=study_faults.SUMMARY, description=study_faults.SUMMARY
+    )
+    faults.set_defaults(study=study_faults.NAME)
+    study_faults.add_arguments(faults)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     if arguments.study == study_real.NAME:
         return study_real.run(arguments)
+    if arguments.study == study_faults.NAME:
+        return study_faults.run(arguments)
     study = STUDIES[arguments.study]
     size = _size(arguments)
     given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}

@@ -32,7 +32,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "membership": {"core", "errors", "parameters", "text_files", "yaml_text"},
     "pipeline": {"core", "errors", "parameters"},
     "messages": {"core", "parameters", "pipeline"},
-    "simulation": {"core", "messages", "parameters"},
+    "simulation": {"core", "messages", "parameters", "pipeline"},
     "study": {"core", "membership", "parameters", "pipeline", "simulation"},
     "training": {"core", "membership", "parameters", "pipeline", "simulation", "study"},
     "saved_state": {"core", "errors", "parameters", "pipeline", "text_files", "yaml_text"},

@@ -1,0 +1,107 @@
+"""`study faults`: what it measures, what it writes, and what it refuses."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.pipeline.events import Sensor
+from fnn_ekf_ros.study.fault_naming import (
+    FAULTS,
+    NAMED_WITHIN_S,
+    ONSET_S,
+    Setting,
+    name_fault,
+    quiet_run,
+    told_noise,
+)
+from fnn_ekf_ros.study.starts import RIGHT, Cell
+from fnn_ekf_ros.tools.simulate import matching_localizer
+
+SUBSET = ("compass_bias", "lrf_pose_nan")
+
+
+def setting(seed: int, cell: Cell = RIGHT) -> Setting:
+    robot = FakeRobotParameters(path="sim1", seed=seed)
+    localizer = told_noise(matching_localizer(robot), cell)
+    return Setting(robot, localizer, network_for(localizer))
+
+
+def test_faults_have_names_of_their_own_and_every_sensor_has_some() -> None:
+    assert len({case.name for case in FAULTS}) == len(FAULTS)
+    assert {case.sensor for case in FAULTS} == set(Sensor)
+    for case in FAULTS:
+        assert all(fault.start == 50.0 for fault in case.faults(50.0))
+        for fault in case.faults(50.0):
+            wheels = case.sensor is Sensor.ENCODERS
+            assert wheels or fault.targets() == (case.sensor,)
+
+
+@pytest.mark.parametrize("name", SUBSET)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_failing_sensor_is_named_and_nobody_else(name: str, seed: int) -> None:
+    case = next(case for case in FAULTS if case.name == name)
+    naming = name_fault(case, setting(seed), np.random.default_rng(seed))
+    assert ONSET_S[0] <= naming.onset_s <= ONSET_S[1]
+    assert naming.right, naming
+    assert naming.first
+    assert 0.0 <= naming.named_s < NAMED_WITHIN_S / 3.0
+
+
+def test_a_robot_without_faults_is_well() -> None:
+    quiet = quiet_run(setting(5), 60.0)
+    assert 50 <= quiet.reports <= 60
+    assert quiet.warned == 0, quiet.words
+
+
+def test_a_start_is_told_a_wrong_noise() -> None:
+    right, wrong = (setting(1, cell).localizer for cell in (RIGHT, Cell(25.0, 0.04)))
+    assert wrong.process_noise_std == pytest.approx(np.multiply(right.process_noise_std, 5.0))
+    assert wrong.measurement_noise_std == pytest.approx(
+        np.multiply(right.measurement_noise_std, 0.2)
+    )
+    assert isinstance(wrong, LocalizerParameters)
+
+
+def test_the_command_writes_tables_and_numbers(tmp_path: Path, succeed: Callable[..., str]) -> None:
+    out = tmp_path / "out"
+    said = succeed(
+        "study", "faults", "--out", out, "--runs", 1, "--faults", ",".join(SUBSET),
+        "--quiet-runs", 1, "--quiet-seconds", 10,
+    )  # fmt: skip
+    assert said == (
+        f"{out}: 2 of 2 faults named in time, and nobody else\n{out / 'results.md'}: the tables\n"
+    )
+    found = json.loads((out / "results.json").read_text())
+    assert found["faults"] == list(SUBSET)
+    assert [row["fault"] for row in found["results"]] == list(SUBSET)
+    assert all(row["right"] and 0.0 <= row["named_s"] < 30.0 for row in found["results"])
+    assert len({row["onset_s"] for row in found["results"]}) == 1
+    assert len(found["quiet"]) == 5 * 2
+    assert all(5 <= row["reports"] <= 10 for row in found["quiet"])
+    tables = (out / "results.md").read_text()
+    assert "`study faults --runs 1 --quiet-runs 1 --quiet-seconds 10 --seed 1 --faults" in tables
+    assert "| compass_bias | off by 1.5 rad | compass | 1 of 1 | 1 |" in tables
+    assert "All: 2 of 2, 100.0%." in tables
+    assert tables.count("| right start |") == 2
+    assert tables.count("| q = ") == 8
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--runs", 0), "--runs 0: expected 1 to 1000"),
+        (("--quiet-seconds", 0), "--quiet-seconds 0: expected 1 to 3600"),
+        (("--faults", "rust"), "--faults rust: expected some of stuck_wheel, "),
+        (("-p", "period:=0"), "parameter 'period'"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    tmp_path: Path, refuse: Callable[..., str], words: tuple[object, ...], expected: str
+) -> None:
+    assert expected in refuse("study", "faults", "--out", tmp_path / "out", *words)
