@@ -40,6 +40,8 @@ RECORDED = {
     "/diagnostics": messages.DIAGNOSTICS_TYPE,
 }
 """What a run is judged by: type name by topic."""
+_OVERRUN = re.compile(r"^late by .* more than a period$")
+"""What the status time says when the machine, not the robot, was late: not the fault's doing."""
 _NUMBER = re.compile(r"[-+]?\b(?:\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|nan|inf)\b")
 
 
@@ -208,7 +210,7 @@ def read_run(path: Path, row: Row) -> Run:
         )
         for time, message in zip(times, statuses, strict=True)
         for status in message.status
-        if time <= END_S
+        if time <= END_S and not _OVERRUN.search(status.message)
     )
     finite = all(map(_all_finite, found["/odom"])) and all(
         np.all(np.isfinite(message.data)) for message in found["/localizer/noise"]
