@@ -25,7 +25,8 @@ from fnn_ekf_ros.parameters.faults import TOPICS
 from fnn_ekf_ros.ros.record import Recorder
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools import fault_tables
-from fnn_ekf_ros.tools.fault_matrix import (
+from fnn_ekf_ros.tools.fault_matrix import Verdict, judge
+from fnn_ekf_ros.tools.fault_runs import (
     END_S,
     LASTS_S,
     ONSET_S,
@@ -34,8 +35,6 @@ from fnn_ekf_ros.tools.fault_matrix import (
     TRUTH_INTERVAL_NS,
     Row,
     Run,
-    Verdict,
-    judge,
     read_run,
 )
 from fnn_ekf_ros.tools.made_by import version

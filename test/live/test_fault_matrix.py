@@ -11,15 +11,8 @@ import pytest
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.pipeline.events import Level
-from fnn_ekf_ros.tools.fault_matrix import (
-    ONSET_S,
-    SAME_M,
-    SETTLED_S,
-    Run,
-    judge,
-    moved,
-    position_error,
-)
+from fnn_ekf_ros.tools.fault_matrix import SAME_M, SETTLED_S, judge, moved, position_error
+from fnn_ekf_ros.tools.fault_runs import ONSET_S, Run
 
 pytestmark = pytest.mark.live
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "fault_matrix.py"

@@ -14,19 +14,15 @@ from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.faults import ClockJump
 from fnn_ekf_ros.pipeline.events import Level, Status
 from fnn_ekf_ros.tools.fault_matrix import (
-    Remark,
-    Row,
-    Run,
     Said,
     back_after,
     judge,
     missing_odom,
     moved,
     news,
-    read_run,
-    robot_times,
     window,
 )
+from fnn_ekf_ros.tools.fault_runs import Remark, Row, Run, read_run, robot_times
 from fnn_ekf_ros.tools.fault_tables import document, draw
 from fnn_ekf_ros.tools.scoring import Track
 
