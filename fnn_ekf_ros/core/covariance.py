@@ -20,9 +20,8 @@ def usable_covariance(matrix: FloatArray) -> FloatArray | None:
     to `LARGEST_STD`, and positive definite by a margin, whatever the units of its entries.
     """
     variances = np.diagonal(matrix)
-    if not np.all(np.isfinite(matrix)) or not np.all(
-        (variances >= SMALLEST_STD**2) & (variances <= LARGEST_STD**2)
-    ):
+    # No covariance is larger than the largest variance; beyond it the division would overflow.
+    if not np.all(np.abs(matrix) <= LARGEST_STD**2) or not np.all(variances >= SMALLEST_STD**2):
         return None
     std = np.sqrt(variances)
     correlation = matrix / std[:, None] / std[None, :]

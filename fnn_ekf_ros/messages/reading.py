@@ -1,6 +1,7 @@
 """From messages to events; by attribute names, so rclpy's messages and bags' are read alike."""
 
 import math
+import reprlib
 from typing import Any
 
 import numpy as np
@@ -145,7 +146,7 @@ def _pose(
     if message.header.frame_id != parameters.frame_id:
         return Rejected(
             Sensor.LRF_POSE,
-            f"{topic} in frame '{message.header.frame_id}', expected '{parameters.frame_id}'",
+            f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}'",
         )
     pose = planar_pose(message)
     if not np.all(np.abs(pose[:2]) < LARGEST_POSITION):
@@ -200,6 +201,13 @@ def _pose_reset(
         )
     given_ns = stamp_ns(message)
     return [PoseReset(min(given_ns, receive_ns) if given_ns else receive_ns, pose, checked)]
+
+
+def _short(text: str) -> str:
+    """Return somebody's text quoted, in one line and not too long for one."""
+    quoted = reprlib.Repr()
+    quoted.maxstring = 80
+    return quoted.repr(text)
 
 
 def _bad_quaternion(orientation: Any) -> str:

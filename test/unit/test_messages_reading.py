@@ -170,6 +170,15 @@ def test_an_imu_without_an_orientation_is_no_compass(make_parameters: MakeParame
     assert messages.read_input("compass", imu(turned(1.0), -1.0), 1, make_parameters()) == []
 
 
+@pytest.mark.parametrize("frame", ["x" * 10**6, "a\nb", "\x00", "\x1b[2J", "\u2028", "'"])
+def test_any_frame_is_named_in_one_short_line(make_parameters: MakeParameters, frame: str) -> None:
+    found = messages.read_input("lrf_pose", pose_message(frame=frame), 1, make_parameters())
+    reason = refused(found, Sensor.LRF_POSE)
+    assert reason.isprintable()
+    assert len(reason) < 150
+    assert reason.endswith(", expected 'map'")
+
+
 @pytest.mark.parametrize("topic", ["lrf_pose", "initialpose"])
 @pytest.mark.parametrize("frame", ["", "odom", "/map", "Map", "map "])
 def test_poses_in_foreign_frames_are_quarantined(
@@ -231,6 +240,8 @@ NO_COVARIANCES = [
     np.diag([1e13, 1.0, 1.0]),
     np.diag([1e-13, 1.0, 1.0]),
     np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[0.25, 1.7e308, 0.0], [1.7e308, 0.25, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[0.25, -1.7e308, 0.0], [1.7e308, 0.25, 0.0], [0.0, 0.0, 1.0]]),
 ]
 
 
