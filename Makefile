@@ -1,6 +1,7 @@
 # make demo: a recorded bag through the live localizer, a table and a picture.
 # make test: lint, types, unit, property and integration tests, colcon build and colcon test.
 # make faults: docs/faults.md, each fault through live nodes, about 20 minutes; not in make test.
+# make hostile: a million hostile messages through the pipeline, 10^5 through a node, half an hour.
 # make soak: ten simulated days in one run, about an hour; not part of make test.
 # All set up .venv first, with pinned versions; nothing else is installed.
 
@@ -14,7 +15,7 @@ COLCON_PATHS := --build-base build/colcon --install-base build/install
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 
-.PHONY: demo faults test lint soak clean
+.PHONY: demo faults hostile test lint soak clean
 
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
@@ -27,6 +28,13 @@ test: $(VENV)/.installed-tests lint
 	$(COLCON) test --paths . $(COLCON_PATHS) --return-code-on-test-failure \
 	  --event-handlers console_direct+
 	$(COLCON) test-result --test-result-base build/colcon --verbose
+
+# Another FNN_EKF_ROS_HOSTILE_SEED than 1 sends others.
+hostile: export FNN_EKF_ROS_HOSTILE_SEED ?= 1
+hostile: export FNN_EKF_ROS_HOSTILE_MESSAGES = 1000000
+hostile: export FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES = 100000
+hostile: $(VENV)/.installed
+	$(BIN)/python -m pytest -s test/unit/test_hostile.py test/live/test_hostile_node.py
 
 soak: $(VENV)/.installed
 	$(BIN)/python scripts/soak.py
