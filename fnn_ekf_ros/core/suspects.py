@@ -69,16 +69,11 @@ class SuspectState(NamedTuple):
 
 def no_suspects(mean: FloatArray, covariance: FloatArray) -> SuspectState:
     """Return the state in which nobody is suspected, at a pose `(..., 3)`, `(..., 3, 3)`."""
-    nobody = SuspectState(np.zeros((*mean.shape[:-1], len(SUSPECTS))), mean, covariance)
-    return suspects_at(nobody, mean, covariance)
-
-
-def suspects_at(state: SuspectState, mean: FloatArray, covariance: FloatArray) -> SuspectState:
-    """Return the state with all filters at another pose; the leads stay."""
     batch = mean.shape[:-1]
-    return state._replace(
-        mean=np.broadcast_to(mean[..., None, :], (*batch, _FILTERS, 3)),
-        covariance=np.broadcast_to(covariance[..., None, :, :], (*batch, _FILTERS, 3, 3)),
+    return SuspectState(
+        np.zeros((*batch, len(SUSPECTS))),
+        np.broadcast_to(mean[..., None, :], (*batch, _FILTERS, 3)),
+        np.broadcast_to(covariance[..., None, :, :], (*batch, _FILTERS, 3, 3)),
     )
 
 

@@ -5,6 +5,7 @@ makes the filter mistrust the fixes. So a symptom alone (readings rejected, a sc
 the expected one) blames a sensor only while no other one is suspected.
 """
 
+import math
 from enum import Enum
 from functools import cache
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from typing import NamedTuple
 from fnn_ekf_ros.core.chi_square import exceeded_with
 from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.pipeline.events import Sensor
-from fnn_ekf_ros.pipeline.watch import READINGS, Readings, Watch
+from fnn_ekf_ros.pipeline.watch import LASTING, READINGS, Readings, Watch
 
 MANY_REJECTIONS = 3
 """So many of the last `READINGS` readings rejected are more than wild ones now and then."""
@@ -25,6 +26,9 @@ CLEAR_LEAD = 6.0
 CLEARED_LEAD = 3.0
 """A suspect with less has nothing to do with another one's symptoms [nats]; right sensors seldom
 have more."""
+AGREEING = 2
+"""So many rejected fixes that agree with each other and the wheels are a jump, it seems; the wheels
+are not blamed for it until it is clear."""
 
 
 class Scatter(Enum):
@@ -41,9 +45,9 @@ class Symptoms(NamedTuple):
     Attributes:
         rejected: how many of them the gate rejected.
         seen: of how many.
-        nis: mean of those that were accepted, per degree of freedom; NaN without any.
+        nis: mean of the last that were accepted, per degree of freedom; NaN without any.
         band: in which it lies for right readings but for `BAND_CHANCE`.
-        scatter: where it lies.
+        scatter: where it lies, now and `LASTING` readings ago.
     """
 
     rejected: int
@@ -76,19 +80,27 @@ NOBODY = Blame(None, (), (0.0,) * len(SUSPECTS))
 
 
 def symptoms_of(readings: Readings) -> Symptoms:
-    """Return what the last readings of a sensor show; a scatter only of `READINGS` of them."""
+    """Return what the last readings of a sensor show; a scatter only if it lasts."""
     rejected, seen = sum(readings.rejected), len(readings.rejected)
-    rows = sum(readings.rows)
-    if not rows:
-        return Symptoms(rejected, seen, float("nan"), (0.0, float("inf")), Scatter.AS_BELIEVED)
-    low, high = (end / rows for end in _band(rows))
-    nis = sum(readings.nis) / rows
+    nis, band = _mean_and_band(readings, slice(-READINGS, None))
+    if len(readings.nis) < READINGS + LASTING:
+        return Symptoms(rejected, seen, nis, band, Scatter.AS_BELIEVED)
+    earlier, band_then = _mean_and_band(readings, slice(None, READINGS))
     scatter = Scatter.AS_BELIEVED
-    if len(readings.nis) == READINGS and nis > high:
+    if nis > band[1] and earlier > band_then[1]:
         scatter = Scatter.MORE
-    elif len(readings.nis) == READINGS and nis < low:
+    elif nis < band[0] and earlier < band_then[0]:
         scatter = Scatter.LESS
-    return Symptoms(rejected, seen, nis, (low, high), scatter)
+    return Symptoms(rejected, seen, nis, band, scatter)
+
+
+def _mean_and_band(readings: Readings, which: slice) -> tuple[float, tuple[float, float]]:
+    """Return the mean of NIS per degree of freedom, and its band for right readings."""
+    rows = sum(readings.rows[which])
+    if not rows:
+        return math.nan, (0.0, math.inf)
+    low, high = _band(rows)
+    return sum(readings.nis[which]) / rows, (low / rows, high / rows)
 
 
 def blame(watch: Watch) -> Blame:
@@ -97,6 +109,8 @@ def blame(watch: Watch) -> Blame:
     by_lead = sorted(zip(leads, map(Sensor, SUSPECTS), strict=True), reverse=True)
     first, second = by_lead[0], by_lead[1]
     if first[0] >= SUSPECTED_LEAD:
+        if first[1] is Sensor.ENCODERS and watch.agreeing >= AGREEING:
+            return Blame(None, (Sensor.ENCODERS, Sensor.LRF_POSE), leads)
         if first[0] - second[0] >= CLEAR_LEAD:
             return Blame(first[1], (first[1],), leads)
         unclear = tuple(sensor for lead, sensor in by_lead if first[0] - lead < CLEAR_LEAD)

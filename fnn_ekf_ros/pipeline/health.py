@@ -10,8 +10,8 @@ off the wheels' by more than 5 standard deviations and by more than half |
 | compass, lrf_pose | none, or not for 3 s; messages refused; frozen: 5 readings or more in a row \
 are the same to the last digit while the wheels moved the robot by 0.5 m (fixes) or 0.5 rad \
 (compass); it does not fit the other two (`blame`), or 3 or more of its last 20 readings were \
-rejected, or these scatter outside of the 99.9 % band of their NIS, and no other sensor is \
-suspected | |
+rejected, or these scatter outside of the 99.9 % band of their NIS now and 10 readings ago, and no \
+other sensor is suspected | |
 | filter | waits for its start; a period failed and was predicted by the wheels alone, or the \
 filter had to start anew; the pose was moved to where the fixes agree; a sensor does not fit the \
 other two, or one of several is wrong; degraded: no fix or no yaw accepted for 5 s; an adapted \

@@ -14,22 +14,24 @@ from fnn_ekf_ros.core.filter import FilterModel, FilterState, StepInput, StepRes
 from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE
 from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.core.motion import move
-from fnn_ekf_ros.core.suspects import SuspectState, no_suspects, suspect, suspects_at
+from fnn_ekf_ros.core.suspects import SuspectState, no_suspects, suspect
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
 from fnn_ekf_ros.pipeline.period import FAILURES
 from fnn_ekf_ros.pipeline.start import Waiting
 
 READINGS = 20
 """So many readings of a sensor are looked back at."""
+LASTING = 10
+"""And at as many that end so many readings earlier: what lasts is in both."""
 
 
 class Readings(NamedTuple):
-    """The last readings of a sensor, at most `READINGS` each, the newest last.
+    """The last readings of a sensor, the newest last.
 
     Attributes:
-        nis: of those that were accepted.
+        nis: of the last `READINGS` + `LASTING` that were accepted.
         rows: how many rows each of these measured.
-        rejected: of all, whether the gate rejected them.
+        rejected: of the last `READINGS` of all, whether the gate rejected them.
     """
 
     nis: tuple[float, ...] = ()
@@ -60,6 +62,7 @@ class Watch(NamedTuple):
         fix_ns: when a fix was accepted last, or the filter started [ns].
         yaw_ns: likewise of a yaw [ns].
         moved: the last time that the gate moved the pose; None: it has not.
+        agreeing: how many fixes in a row were rejected and agree with each other and the wheels.
     """
 
     suspects: SuspectState
@@ -67,6 +70,7 @@ class Watch(NamedTuple):
     fix_ns: int
     yaw_ns: int
     moved: Move | None = None
+    agreeing: int = 0
 
 
 def begin_watch(state: FilterState, end_ns: int) -> Watch:
@@ -126,11 +130,15 @@ def _watch(
         way = float(np.hypot(*(after.mean - expected)[:2]))
         turn = float(wrap_angle(after.mean[2] - expected[2]))
         return watch._replace(
-            suspects=suspects_at(watch.suspects, after.mean, after.covariance),
+            suspects=no_suspects(after.mean, after.covariance),  # another place explains it all
             fix_ns=end_ns,
             moved=Move(end_ns, way, turn),
+            agreeing=0,
         )
-    return watch._replace(suspects=_suspects(model, watch.suspects, before, after, period))
+    return watch._replace(
+        suspects=_suspects(model, watch.suspects, before, after, period),
+        agreeing=int(after.candidate.confirmations[LRF_POSE]) if after.candidate.active else 0,
+    )
 
 
 def _with_reading(readings: Readings, result: StepResult, sensor: int) -> Readings:
@@ -142,8 +150,8 @@ def _with_reading(readings: Readings, result: StepResult, sensor: int) -> Readin
     if rejected:
         return known
     return known._replace(
-        nis=(*readings.nis, float(result.sensor_nis[sensor]))[-READINGS:],
-        rows=(*readings.rows, rows)[-READINGS:],
+        nis=(*readings.nis, float(result.sensor_nis[sensor]))[-READINGS - LASTING :],
+        rows=(*readings.rows, rows)[-READINGS - LASTING :],
     )
 
 

@@ -14,7 +14,6 @@ from fnn_ekf_ros.core.suspects import (
     SuspectState,
     no_suspects,
     suspect,
-    suspects_at,
 )
 
 PLANT = Plant(MotionModel.EXACT_ARC, 1.0, (0.01, 0.01, 0.018, 0.018))
@@ -134,15 +133,6 @@ def test_a_wild_fix_moves_the_filters_by_a_bounded_way() -> None:
         moved.append(after.mean[0, Row.X])
     assert moved[0] < 1.0
     assert moved[1] < 1.2 * moved[0]
-
-
-def test_another_pose_keeps_the_leads() -> None:
-    state = no_suspects(np.zeros(3), START_P)._replace(lead=np.array([3.0, 1.0, 0.0]))
-    pose = np.array([1.0, 2.0, 0.3])
-    moved = suspects_at(state, pose, 2.0 * START_P)
-    np.testing.assert_array_equal(moved.lead, state.lead)
-    np.testing.assert_array_equal(moved.mean, [pose] * 4)
-    np.testing.assert_array_equal(moved.covariance, [2.0 * START_P] * 4)
 
 
 def test_robots_of_a_batch_do_not_mix() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from fnn_ekf_ros.core.suspects import SUSPECTS, no_suspects
 from fnn_ekf_ros.pipeline.blame import (
+    AGREEING,
     CLEAR_LEAD,
     CLEARED_LEAD,
     MANY_REJECTIONS,
@@ -21,11 +22,12 @@ from fnn_ekf_ros.pipeline.events import CompassYaw, Level, PoseFix, Sensor, Stat
 from fnn_ekf_ros.pipeline.frozen import FROZEN_READINGS, FrozenSensor
 from fnn_ekf_ros.pipeline.inputs import Counts
 from fnn_ekf_ros.pipeline.measuring_health import measuring_status
-from fnn_ekf_ros.pipeline.watch import READINGS, Readings, Watch
+from fnn_ekf_ros.pipeline.watch import LASTING, READINGS, Readings, Watch
 
-RIGHT = Readings((1.0,) * READINGS, (1,) * READINGS, (False,) * READINGS)
-WIDE = RIGHT._replace(nis=(2.5,) * READINGS)
-NARROW = RIGHT._replace(nis=(0.2,) * READINGS)
+ALL = READINGS + LASTING
+RIGHT = Readings((1.0,) * ALL, (1,) * ALL, (False,) * READINGS)
+WIDE = RIGHT._replace(nis=(2.5,) * ALL)
+NARROW = RIGHT._replace(nis=(0.2,) * ALL)
 FINE = Status("", Level.OK, "received", ())
 
 
@@ -93,16 +95,33 @@ def test_scatter_is_judged_by_the_chi_square_band_of_twenty_readings() -> None:
         (47.4 / 20, Scatter.AS_BELIEVED),
         (47.6 / 20, Scatter.MORE),
     ):
-        found = symptoms_of(RIGHT._replace(nis=(nis,) * READINGS))
+        found = symptoms_of(RIGHT._replace(nis=(nis,) * ALL))
         assert found.scatter is expected
         assert found.nis == pytest.approx(nis)
         np.testing.assert_allclose(found.band, (5.398 / 20, 47.498 / 20), rtol=1e-4)
 
 
 def test_too_few_readings_have_no_scatter() -> None:
-    few = Readings((9.0,) * (READINGS - 1), (1,) * (READINGS - 1), (False,) * (READINGS - 1))
+    few = Readings((9.0,) * (ALL - 1), (1,) * (ALL - 1), (False,) * READINGS)
     assert symptoms_of(few).scatter is Scatter.AS_BELIEVED
     assert math.isnan(symptoms_of(Readings()).nis)
+
+
+def test_a_scatter_has_to_last() -> None:
+    """The band is left by a reading that is 30 times too large, for as long as it is looked at."""
+    for place in range(ALL):
+        nis = [1.0] * ALL
+        nis[place] = 30.0
+        found = symptoms_of(RIGHT._replace(nis=tuple(nis))).scatter
+        assert (found is Scatter.MORE) == (LASTING <= place < READINGS)
+
+
+def test_wheels_are_not_blamed_for_fixes_that_seem_to_have_jumped() -> None:
+    slipping = watch((30.0, 0.0, 5.0), lrf_pose=rejecting(3))
+    assert blame(slipping._replace(agreeing=AGREEING - 1)).culprit is Sensor.ENCODERS
+    found = blame(slipping._replace(agreeing=AGREEING))
+    assert found.culprit is None
+    assert found.suspects == (Sensor.ENCODERS, Sensor.LRF_POSE)
 
 
 def status_of(sensor: Sensor, readings: Readings, found: Blame, frozen: str = "") -> Status:
