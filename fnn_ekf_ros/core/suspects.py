@@ -107,6 +107,10 @@ def suspect(
     lead = state.lead + gained
     excess = np.max(lead, axis=-1, keepdims=True) - LONGEST_LEAD
     lead = np.maximum(lead - np.maximum(excess, 0.0), 0.0)
+    cleared = lead <= 0.0
+    none = np.all(cleared, axis=-1)
+    if np.all(none):  # as most of the time: all filters would start again from the published one
+        return no_suspects(*published)
 
     if np.any(seen.nis > LARGEST_NIS):  # no sensor's is larger than all rows' together
         nis, rows = nis_by_sensor(seen, available)
@@ -116,8 +120,6 @@ def suspect(
         seen = innovate(mean, covariance, z, R_full, available)
     mean, covariance = update(mean, covariance, R_full, available, seen)
 
-    cleared = lead <= 0.0
-    none = np.all(cleared, axis=-1)
     nobody = np.where(none[..., None], published[0], mean[..., 0, :])
     nobody_P = np.where(none[..., None, None], published[1], covariance[..., 0, :, :])
     restart = np.concatenate([np.ones_like(cleared[..., :1]), cleared], axis=-1)
