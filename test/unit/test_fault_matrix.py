@@ -239,8 +239,21 @@ def test_odom_that_comes_later_than_the_localizer_may_send_it_is_the_machines_fa
     places = {id(message): place for place, (_, message) in enumerate(bag.entries)}
     late = bag.entries.pop(places[id(bag.odom[45.0])])
     bag.entries.insert(places[id(bag.odom[46.5])], late)
-    with pytest.raises(FnnEkfError, match=r"odom came up to 1\.5 s late, expected 1 s"):
+    with pytest.raises(FnnEkfError, match=r"odom came up to 1\.5 s late, expected 0\.5 s"):
         read_run(bag.write(tmp_path / "bag"), NO_FAULT)
+
+
+@pytest.mark.parametrize(
+    ("fault", "allowed"),
+    [
+        ({"fault": "frozen", "topic": "compass"}, 0.5),
+        ({"fault": "frozen", "topic": "joint_states"}, 1.0),
+        ({"fault": "silent_wheel", "wheel": "left"}, 1.0),
+        ({"fault": "clock_jump", "size": 10.0}, 1.0),
+    ],
+)
+def test_odom_may_wait_for_wheels_that_do_not_come(fault: dict[str, Any], allowed: float) -> None:
+    assert Row("row", "", ({"start": 30.0, **fault},)).latest_odom_s == allowed
 
 
 def test_more_than_one_clock_jump_is_refused(tmp_path: Path) -> None:
