@@ -41,6 +41,8 @@ from fnn_ekf_ros.tools.made_by import version
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
+MADE_BY = "made_by"
+"""The file beside a recording that says by which version it was made."""
 SEED = 1
 RATE, TICKS_SHARE = 6.0, 0.5
 """Times real time at first; ticks, which are stamped on arrival, suffer from a hurry: so much of
@@ -275,7 +277,7 @@ def run_row(given: Row, folder: Path, rate: float) -> Run:
     return read_run(folder / "run", given)
 
 
-def tried(number: int, domain: int, rate: float) -> str:
+def tried(number: int, domain: int, rate: float, made_by: str) -> str:
     """Run a row of the matrix, several times if need be; return what was wrong, or nothing."""
     folder = OUT / f"{number:02d}"
     if ROWS[number].ticks:
@@ -288,6 +290,7 @@ def tried(number: int, domain: int, rate: float) -> str:
         except FnnEkfError as error:
             reason = str(error)
         else:
+            (folder / MADE_BY).write_text(made_by)
             return ""
     return reason
 
@@ -295,9 +298,10 @@ def tried(number: int, domain: int, rate: float) -> str:
 def run_all(numbers: Sequence[int], jobs: int, rate: float) -> None:
     """Run rows of the matrix, each in a process and on a domain of its own; show progress."""
     began = time.monotonic()
+    made_by = version()  # of the code as it is now
     spawn = multiprocessing.get_context("spawn")  # rclpy does not survive a fork
     with ProcessPoolExecutor(jobs, mp_context=spawn, max_tasks_per_child=1) as pool:
-        waiting = {pool.submit(tried, n, os.getpid() + n, rate): n for n in numbers}
+        waiting = {pool.submit(tried, n, os.getpid() + n, rate, made_by): n for n in numbers}
         for done, future in enumerate(as_completed(waiting), start=1):
             reason = future.result()
             print(
@@ -307,8 +311,9 @@ def run_all(numbers: Sequence[int], jobs: int, rate: float) -> None:
             )
 
 
-def write(numbers: Sequence[int], made_by: str) -> int:
+def write(numbers: Sequence[int]) -> int:
     """Write the table and the picture of the recorded rows; return how many failed."""
+    notes = {path.read_text() for path in OUT.glob(f"*/{MADE_BY}")}
     runs: dict[str, Run | str] = {}
     for number in numbers:
         try:
@@ -325,7 +330,9 @@ def write(numbers: Sequence[int], made_by: str) -> int:
             )
         else:
             lines.append((given, judge(given, run, usual)))
-    write_text(TABLE, fault_tables.document(lines, runs[ROWS[0].name], made_by, PICTURE))
+    write_text(
+        TABLE, fault_tables.document(lines, runs[ROWS[0].name], "; ".join(sorted(notes)), PICTURE)
+    )
     fault_tables.draw(TABLE.with_name(PICTURE), [(ROWS[n], runs[ROWS[n].name]) for n in numbers])
     return sum(isinstance(verdict, str) for _, verdict in lines)
 
@@ -342,13 +349,11 @@ def main() -> int:
     parser.add_argument("--recorded", action="store_true", help=recorded)
     arguments = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
-    note = OUT / "made_by"
     if not arguments.recorded:
         words = arguments.only or [""]
         numbers = [n for n, r in enumerate(ROWS) if any(word in r.name for word in words)]
-        note.write_text(version())  # before the runs: the documents change the clone
         run_all(numbers, arguments.jobs, arguments.rate)
-    failed = write(range(len(ROWS)), note.read_text())
+    failed = write(range(len(ROWS)))
     print(f"{TABLE.relative_to(ROOT)}: {len(ROWS)} rows, {failed} failed")
     return 1 if failed else 0
 
