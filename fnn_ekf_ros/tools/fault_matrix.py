@@ -154,13 +154,14 @@ def back_after(times_s: Sequence[float], bad: Sequence[bool], since_s: float) ->
     return math.nan if later[-1] + 1 == len(times_s) else times_s[later[-1] + 1] - since_s
 
 
-def judge(row: Row, run: Run, undisturbed: Run) -> Verdict:
+def judge(row: Row, run: Run, undisturbed: Run, without: Run | None = None) -> Verdict:
     """Return what came of a row.
 
     Args:
         row: what was injected.
         run: its run.
         undisturbed: the run without a fault and with the same encoders.
+        without: what `moved` compares it with, if not that one.
     """
     over_s = row.over_s
     seconds = run.odom.time_ns / 1e9
@@ -172,7 +173,7 @@ def judge(row: Row, run: Run, undisturbed: Run) -> Verdict:
         before=window(run, SETTLED_S, ONSET_S),
         during=window(run, ONSET_S, ONSET_S + LASTS_S),
         after=window(run, ONSET_S + LASTS_S, END_S),
-        moved=moved(run, undisturbed),
+        moved=moved(run, without or undisturbed),
         missing=missing_odom(run.odom, ONSET_S, END_S - 3.0 * PERIOD_S),
         finite=run.finite,
         said=news(run.remarks),

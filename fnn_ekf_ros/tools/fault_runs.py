@@ -50,6 +50,8 @@ class Row(NamedTuple):
         timeline: the faults, as a faults_file holds them.
         localizer: parameters of the localizer, as `name:=value`.
         robot: parameters of the fake robot.
+        without: name of the row that shows what the run would be without the fault; empty for the
+            one without any.
         ticks: whether the encoders are `left_ticks` and `right_ticks`; otherwise `joint_states`.
     """
 
@@ -58,6 +60,7 @@ class Row(NamedTuple):
     timeline: tuple[Mapping[str, Any], ...] = ()
     localizer: tuple[str, ...] = ()
     robot: tuple[str, ...] = ()
+    without: str = ""
     ticks: bool = False
 
     @property

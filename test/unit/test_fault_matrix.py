@@ -130,6 +130,7 @@ def test_the_verdict_counts_from_the_end_of_the_fault() -> None:
     assert (lasting.recovered_s, lasting.fine_s) == (6.25, 3.0)
     assert (lasting.before.rmse, lasting.during.rmse) == pytest.approx((0.1, 1.0))
     assert lasting.moved == pytest.approx(0.9)
+    assert judge(DROPOUT, run(error, remarks), usual, run(error)).moved == 0.0
     instant = judge(KIDNAP, run(error, remarks), usual)
     assert (instant.recovered_s, instant.fine_s) == (26.25, 23.0)
     assert judge(DROPOUT, run(0.14), usual).recovered_s == 0.0
