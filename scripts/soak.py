@@ -126,7 +126,7 @@ class Soak:
         self._robot = Robot(seed)
         self._pipeline = Pipeline(PARAMETERS, network_for(PARAMETERS))
         self._previous_ns: int | None = None
-        self._squares: list[float] = []
+        self._scored, self._sum_of_squares = 0, 0.0  # no list: memory is what is looked at
         self._levels: Counter[str] = Counter()
         self.estimates = 0
 
@@ -152,15 +152,17 @@ class Soak:
             self.estimates += 1
             error = output.estimate.state.mean[:2] - self._robot.pose[:2]
             if period > TROUBLED and not CARRIED_AT <= period % HOUR < CARRIED_AT + TROUBLED:
-                self._squares.append(float(error @ error))
-                if self._squares[-1] > LARGEST_ERROR**2:
-                    raise RuntimeError(f"period {period}: off by {math.sqrt(self._squares[-1])} m")
+                square = float(error @ error)
+                self._scored += 1
+                self._sum_of_squares += square
+                if square > LARGEST_ERROR**2:
+                    raise RuntimeError(f"period {period}: off by {math.sqrt(square):.2f} m")
 
     def report(self, day: int, took_s: float) -> str:
         """Return the line of a day that is over, and begin the next one's."""
-        rmse = math.sqrt(sum(self._squares) / max(len(self._squares), 1))
+        rmse = math.sqrt(self._sum_of_squares / max(self._scored, 1))
         said = ", ".join(f"{name} {count}" for name, count in sorted(self._levels.items()))
-        self._squares.clear()
+        self._scored, self._sum_of_squares = 0, 0.0
         self._levels.clear()
         return (
             f"day {day}: {self.estimates} odom so far, position RMSE {rmse:.4f} m, "
