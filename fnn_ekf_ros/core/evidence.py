@@ -89,6 +89,28 @@ def star_evidence(seen: Innovation) -> Evidence:
     )
 
 
+def side_by_side(one: Innovation, other: Innovation) -> Innovation:
+    """Return two stars' innovations as one batch `(..., 2, 9)`."""
+    return Innovation(
+        np.stack([one.innovation, other.innovation], axis=-3),
+        np.stack([one.innovation_covariance, other.innovation_covariance], axis=-4),
+        np.stack([one.kalman_gain, other.kalman_gain], axis=-4),
+        np.stack([one.nis, other.nis], axis=-2),
+        np.stack([one.degrees_of_freedom, other.degrees_of_freedom], axis=-2),
+    )
+
+
+def filters_of(seen: Innovation, filters: slice) -> Innovation:
+    """Return the innovations of some filters of the last batch axis."""
+    return Innovation(
+        seen.innovation[..., filters, :],
+        seen.innovation_covariance[..., filters, :, :],
+        seen.kalman_gain[..., filters, :, :],
+        seen.nis[..., filters],
+        np.broadcast_to(seen.degrees_of_freedom, seen.nis.shape)[..., filters],
+    )
+
+
 def _difference(of_star: FloatArray) -> FloatArray:
     """Return + minus - for each scale: `(..., 9, m)` to `(..., 4, m)`."""
     return of_star[..., 1::2, :] - of_star[..., 2::2, :]

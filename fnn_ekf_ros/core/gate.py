@@ -1,9 +1,9 @@
 """The gate: readings that cannot be are kept from the filter, sensor by sensor.
 
-A reading is rejected if its normalised innovation squared e = r' S^-1 r exceeds what a right one
-exceeds with a small chance, times the sensor's recent *spread*. Nothing can be locked out:
+A reading is rejected if its normalised innovation squared NIS = r' S^-1 r exceeds what a right
+one exceeds with a small chance, times the sensor's recent *spread*. Nothing can be locked out:
 
-    spread      s <- max(1, 0.7 s + 0.3 e/n) with a reading that is accepted,
+    spread      s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
                 s <- 1.65 s with one that is rejected and that agrees with none before it:
                 it is the noise that is wrong, and the gate opens to it in a few readings
     relocation  readings that are rejected but agree with each other are another place
@@ -35,7 +35,7 @@ SPREAD_GROWTH = 1.65
 
 SHARE_MEMORY = 0.9
 """Part of the share of rejected readings that is remembered from one to the next."""
-NOISY_SHARE = 0.09
+NOISY_SHARE = 0.095
 """A share that the reading before leaves, or several lately: a rejected one is noise then."""
 
 _LRF_ROWS = [Row.X, Row.Y, Row.LRF_YAW]
@@ -45,7 +45,7 @@ class Gate(NamedTuple):
     """How wild a reading must be to be rejected.
 
     Attributes:
-        thresholds: for each sensor the largest e by its number of rows, 0 to 3.
+        thresholds: for each sensor the largest NIS by its number of rows, 0 to 3.
     """
 
     thresholds: tuple[tuple[float, ...], tuple[float, ...]]
@@ -74,7 +74,7 @@ class Verdict(NamedTuple):
     """What the gate says about the readings of a period.
 
     Attributes:
-        nis: `(..., 2)` e of each sensor; 0 where it did not speak.
+        nis: `(..., 2)` of each sensor; 0 where it did not speak.
         degrees_of_freedom: `(..., 2)` n, how many rows it measured.
         rejected: `(..., 2)` whether it was rejected.
     """
@@ -103,7 +103,7 @@ def start_gate(batch: tuple[int, ...] = ()) -> GateState:
 
 
 def nis_by_sensor(seen: Innovation, available: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return e and n of each sensor, `(..., 2)` both."""
+    """Return NIS and number of rows of each sensor, `(..., 2)` both."""
     r, S = seen.innovation, seen.innovation_covariance
     compass = r[..., Row.COMPASS_YAW] ** 2 / S[..., Row.COMPASS_YAW, Row.COMPASS_YAW]
     block = S[..., _LRF_ROWS, :][..., _LRF_ROWS]
@@ -129,7 +129,7 @@ def judge(gate: Gate, state: GateState, seen: Innovation, available: BoolArray) 
 
 
 def limits(gate: Gate, count: FloatArray) -> FloatArray:
-    """Return the largest e `(..., 2)` for numbers of rows `(..., 2)`."""
+    """Return the largest NIS `(..., 2)` for numbers of rows `(..., 2)`."""
     rows = count.astype(np.int64)
     return np.stack(
         [np.asarray(of_sensor)[rows[..., i]] for i, of_sensor in enumerate(gate.thresholds)],

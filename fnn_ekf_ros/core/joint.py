@@ -33,7 +33,9 @@ from fnn_ekf_ros.core.evidence import (
     STAR,
     STAR_SIZE,
     Evidence,
+    filters_of,
     log_likelihood,
+    side_by_side,
     star_evidence,
 )
 from fnn_ekf_ros.core.fuzzy import FuzzySets, infer
@@ -280,24 +282,27 @@ def _learn_all(
     """Return the state with learners and weights moved, and the settled learner's u and alpha."""
     foreseen = teaches & (state.forecast_count >= 2.0)
     evidence = star_evidence(
-        _both(_pick(forecast, slice(1, None)), _pick(seen, slice(1 + STAR_SIZE, 1 + 2 * STAR_SIZE)))
+        side_by_side(
+            filters_of(forecast, slice(1, None)),
+            filters_of(seen, slice(1 + STAR_SIZE, 1 + 2 * STAR_SIZE)),
+        )
     )
     learned, explained, alpha = _learn(
         state, sets, bounds, evidence, np.stack([foreseen, teaches], axis=-1)
     )
     of_settled, of_fast = np.moveaxis(evidence.log_likelihood, -1, 0)
 
-    lead = log_likelihood(_pick(forecast, slice(0, 1)))[..., 0] - of_settled
+    lead = log_likelihood(filters_of(forecast, slice(0, 1)))[..., 0] - of_settled
     w = state.start_weight
     w = w / (w + (1.0 - w) * np.exp(-np.clip(lead, -LARGEST_GAIN, LARGEST_GAIN)))
     w = (1.0 - SWITCHING_RATE) * w + SWITCHING_RATE * START_WEIGHT
     w = np.where(foreseen, w, state.start_weight)
 
-    likelihood = log_likelihood(_pick(seen, slice(0, 2)))
+    likelihood = log_likelihood(filters_of(seen, slice(0, 2)))
     best = np.max(likelihood, axis=-1)
     relative = np.exp(likelihood - best[..., None])
     calm = best + np.log(w * relative[..., 0] + (1.0 - w) * relative[..., 1])
-    of_slip = log_likelihood(_pick(seen, slice(_FILTERS - 1, None)))[..., 0]
+    of_slip = log_likelihood(filters_of(seen, slice(_FILTERS - 1, None)))[..., 0]
     gained = np.stack([of_fast, of_slip], axis=-1) - calm[..., None]
     gained = np.clip(gained, -LARGEST_GAIN, LARGEST_GAIN)
     lead_now = np.minimum(ALARM_MEMORY * state.lead + gained, LONGEST_LEAD)
@@ -400,25 +405,3 @@ def _log_limits(state: JointState, bounds: NoiseBounds) -> tuple[FloatArray, Flo
     low = [np.max(low_R[..., rows], axis=-1, keepdims=True) for rows in (position, yaw)]
     high = [np.min(high_R[..., rows], axis=-1, keepdims=True) for rows in (position, yaw)]
     return np.concatenate([low_Q, *low], axis=-1), np.concatenate([high_Q, *high], axis=-1)
-
-
-def _both(settled: Innovation, fast: Innovation) -> Innovation:
-    """Return the stars of both learners as one batch `(..., 2, 9)`."""
-    return Innovation(
-        np.stack([settled.innovation, fast.innovation], axis=-3),
-        np.stack([settled.innovation_covariance, fast.innovation_covariance], axis=-4),
-        np.stack([settled.kalman_gain, fast.kalman_gain], axis=-4),
-        np.stack([settled.nis, fast.nis], axis=-2),
-        np.stack([settled.degrees_of_freedom, fast.degrees_of_freedom], axis=-2),
-    )
-
-
-def _pick(seen: Innovation, filters: slice) -> Innovation:
-    """Return the innovations of some of the filters."""
-    return Innovation(
-        seen.innovation[..., filters, :],
-        seen.innovation_covariance[..., filters, :, :],
-        seen.kalman_gain[..., filters, :, :],
-        seen.nis[..., filters],
-        np.broadcast_to(seen.degrees_of_freedom, seen.nis.shape)[..., filters],
-    )

@@ -3,7 +3,7 @@
 A second filter, the candidate, starts where the first rejected reading says the robot is, takes
 from the published one what that reading does not say, and follows wheels and readings. As long as
 it predicts the readings that the gate rejects it is confirmed; a reading that it does not predict
-starts it anew. Confirmed often enough, it is where the robot is.
+starts it anew. Confirmed often and long enough, it is where the robot is.
 
 Fixes decide alone. A compass that is confirmed needs fixes that agree with it, too: they must not
 fit the candidate worse than the published filter, or a magnet would turn the robot round.
@@ -26,15 +26,24 @@ from fnn_ekf_ros.core.gate import (
     rows_of,
 )
 from fnn_ekf_ros.core.kalman import innovate, update
-from fnn_ekf_ros.core.plant import Plant, StepInput, carry_to_end, noise_matrix, predict
+from fnn_ekf_ros.core.plant import (
+    NOMINAL_PERIOD_S,
+    Plant,
+    StepInput,
+    carry_to_end,
+    noise_matrix,
+    predict,
+)
 
 CONFIRMATIONS = 8
-"""So many readings in a row have to confirm a candidate; three seconds at 375 ms."""
+"""So many readings in a row have to confirm a candidate."""
+CONFIRMATION_S = 3.0
+"""And so long they have to: eight of a fast sensor are one and the same mistake [s]."""
 LARGEST_DISAGREEMENT = 6.0
-"""By so much e the other readings may speak for the published filter, and no more."""
+"""By so much NIS the other readings may speak for the published filter, and no more."""
 
 CLEARLY_LESS = 1.0 / 9.0
-"""A candidate explains a reading if e is so much smaller; noise alone seldom does that."""
+"""A candidate explains a reading if its NIS is so much smaller; noise alone seldom does that."""
 
 
 class Candidate(NamedTuple):
@@ -45,14 +54,16 @@ class Candidate(NamedTuple):
         mean: `(..., 3)` (m, m, rad).
         covariance: `(..., 3, 3)`.
         confirmations: `(..., 2)` how often the rejected readings of each sensor confirmed it.
-        disagreement: `(...)` sum of e against the candidate minus e against the published filter,
-            of readings that the gate accepted.
+        age_s: `(...)` since the reading it started with [s].
+        disagreement: `(...)` sum of NIS against the candidate minus that against the published
+            filter, of readings that the gate accepted.
     """
 
     active: BoolArray
     mean: FloatArray
     covariance: FloatArray
     confirmations: FloatArray
+    age_s: FloatArray
     disagreement: FloatArray
 
 
@@ -96,6 +107,7 @@ def no_candidate(mean: FloatArray, covariance: FloatArray) -> Candidate:
         mean=mean,
         covariance=covariance,
         confirmations=np.zeros((*batch, SENSOR_COUNT)),
+        age_s=np.zeros(batch),
         disagreement=np.zeros(batch),
     )
 
@@ -126,18 +138,18 @@ def follow(
     available, rejected = period.available, verdict.rejected
     spoke = verdict.degrees_of_freedom > 0.0
 
-    ahead, spread = predict(
+    ahead, ahead_P = predict(
         plant, candidate.mean, candidate.covariance, published.process_noise, period.control
     )
     z = carry_to_end(plant, candidate.mean[..., 2], period)
     R_full = noise_matrix(plant, published.measurement_noise, period)
-    nis, count = nis_by_sensor(innovate(ahead, spread, z, R_full, available), available)
+    nis, count = nis_by_sensor(innovate(ahead, ahead_P, z, R_full, available), available)
     agrees = candidate.active[..., None] & spoke & (nis <= limits(gate, count) * remembered.spread)
     confirmed_by = rejected & agrees
 
     used = available & rows_of(agrees)
-    seen = innovate(ahead, spread, z, R_full, used)
-    followed, followed_P = update(ahead, spread, R_full, used, seen)
+    seen = innovate(ahead, ahead_P, z, R_full, used)
+    followed, followed_P = update(ahead, ahead_P, R_full, used, seen)
     other = np.where(spoke & ~rejected, nis - verdict.nis, 0.0)
     confirmations = np.where(
         confirmed_by,
@@ -154,9 +166,11 @@ def follow(
         mean=np.where(starts[..., None], started, followed),
         covariance=np.where(starts[..., None, None], started_P, followed_P),
         confirmations=np.where(starts[..., None], 0.0, confirmations),
+        age_s=np.where(starts, 0.0, candidate.age_s + plant.period_scale * NOMINAL_PERIOD_S),
         disagreement=np.where(starts, 0.0, disagreement),
     )
-    enough = after.confirmations >= CONFIRMATIONS
+    long = after.age_s > CONFIRMATION_S - 0.5 * plant.period_scale * NOMINAL_PERIOD_S
+    enough = (after.confirmations >= CONFIRMATIONS) & long[..., None]
     confirmed = enough[..., LRF_POSE] | (
         enough[..., COMPASS]
         & ~rejected[..., LRF_POSE]

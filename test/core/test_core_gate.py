@@ -183,6 +183,38 @@ def test_a_carried_robot_is_found_and_the_noise_is_not_poisoned(
         np.testing.assert_array_less(np.abs(np.log(ratio[:3])), math.log(1.6))
 
 
+def test_a_fast_sensor_that_is_wrong_for_a_moment_moves_nothing(
+    model: Callable[..., FilterModel],
+) -> None:
+    """At 50 ms eight readings are 0.4 s: fixes off for 2.5 s are no place, for 3 s they are."""
+    fast = model("none", period_s=0.05)
+    truth, periods = drive(10, 400)
+    by = np.array([3.0, 0.0, 0.0, 0.0])
+    states, results = run(fast, moved(periods, slice(100, 150), by))
+    assert not np.any([result.relocated for result in results])
+    assert np.hypot(*(states[160].mean[:2] - truth[161, :2])) < 0.5
+    _, results = run(fast, moved(periods, slice(100, None), by))
+    relocated = [t for t, result in enumerate(results) if result.relocated]
+    assert len(relocated) == 1
+    assert 100 + 58 <= relocated[0] <= 100 + 64
+
+
+@pytest.mark.parametrize("apart", [2, 3, 7])
+def test_the_second_of_two_wild_readings_that_are_apart_teaches_nothing(
+    model: Callable[..., FilterModel], apart: int
+) -> None:
+    _, periods = drive(11, 120)
+    missing = list(periods)
+    wild = periods
+    for t in (60, 60 + apart):
+        wild = moved(wild, slice(t, t + 1), np.array([20.0, 0.0, 0.0, 0.0]))
+        only_yaw = np.array([False, False, True, False])
+        missing[t] = periods[t]._replace(available=only_yaw)
+    a, _ = run(model("joint"), wild)
+    b, _ = run(model("joint"), missing)
+    assert a[-1].measurement_noise.tobytes() == b[-1].measurement_noise.tobytes()
+
+
 def test_a_robot_turned_by_hand_is_found_by_the_compass(model: Callable[..., FilterModel]) -> None:
     """At a standstill, where fixes say nothing of it; a fix every third period."""
     still = StepInput(np.zeros(2), np.zeros(4), np.array([True, True, True, False]))
