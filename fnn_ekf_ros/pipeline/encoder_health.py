@@ -4,7 +4,7 @@ from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
 from fnn_ekf_ros.pipeline.events import Estimate, Level, Status, Wheel, WheelCount
-from fnn_ekf_ros.pipeline.inputs import Counts
+from fnn_ekf_ros.pipeline.inputs import Addition, Counts
 from fnn_ekf_ros.pipeline.stuck_wheel import Look, StuckWheels
 
 STALE_NS = 3 * 10**9
@@ -29,16 +29,21 @@ class EncoderHealth:
         self._jumps = self._timeouts = self._new_timeouts = 0
         self._new_jump = ""
 
-    def saw(self, event: WheelCount, jump_m: float) -> None:
-        """Count a reading, and whether it jumped by a way that cannot have been motion [m]."""
+    def saw(self, event: WheelCount, addition: Addition) -> None:
+        """Count a reading, and whether it jumped by a way that cannot have been motion."""
         self._first_ns.setdefault(event.wheel, event.stamp_ns)
         self._last_ns[event.wheel] = max(event.stamp_ns, self._last_ns.get(event.wheel, 0))
-        if jump_m:
+        if addition.jump_m:
             self._jumps += 1
-            self._new_jump = (
-                f"{event.wheel.name.lower()} wheel jumped by {jump_m:.3f} m: taken for a reset or "
-                "a glitch, and no motion"
-            )
+            jumped = f"{event.wheel.name.lower()} wheel jumped by {addition.jump_m:.3f} m"
+            if addition.silent_ns:
+                self._new_jump = (
+                    f"{jumped} after {addition.silent_ns * 1e-9:.1f} s of silence: taken for a "
+                    "restart or a glitch, and no motion; after a restart its way meanwhile is "
+                    "unknown"
+                )
+            else:
+                self._new_jump = f"{jumped}: taken for a reset or a glitch, and no motion"
 
     def pose_was_set(self, stamp_ns: int) -> None:
         """Expect the pose to jump at an instant [ns]."""

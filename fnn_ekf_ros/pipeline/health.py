@@ -4,7 +4,8 @@
 | --- | --- | --- |
 | encoders | periods closed without both wheels; messages refused; a wheel jumped further than \
 `max_wheel_speed` allows for the time between two readings and 0.1 s (ticks) or 0.02 s \
-(joint_states); none yet | none for 3 s, from one wheel or both; a wheel is stuck: unchanged for \
+(joint_states), or after more than 1 s of silence to within that 0.1 s or 0.02 s of 0; \
+none yet | none for 3 s, from one wheel or both; a wheel is stuck: unchanged for \
 3 s or longer while the other one turned the robot by 0.5 rad or more, where the filter's turn is \
 off the wheels' by more than 5 standard deviations and by more than half |
 | compass, lrf_pose | none, or not for 3 s; messages refused; frozen: 5 readings or more in a row \
@@ -99,7 +100,7 @@ class Health:
             self._received[sensor] += 1
             self._last_ns[sensor] = max(event.stamp_ns, self._last_ns.get(sensor, 0))
         if isinstance(event, WheelCount):
-            self._encoders.saw(event, addition.jump_m)
+            self._encoders.saw(event, addition)
         elif isinstance(event, PoseReset):
             self._encoders.pose_was_set(event.stamp_ns)
         elif sensor is not None:

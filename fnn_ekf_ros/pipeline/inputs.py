@@ -38,11 +38,13 @@ class Addition(NamedTuple):
         changed_ns: from when on the past looks different [ns]; None: the event was there already.
         out_of_order: whether a later event of its kind was there already.
         jump_m: way of the wheel that cannot have been motion, otherwise 0 [m].
+        silent_ns: how long the wheel had been silent before such a jump, if it had [ns].
     """
 
     changed_ns: int | None
     out_of_order: bool = False
     jump_m: float = 0.0
+    silent_ns: int = 0
 
 
 class PeriodInputs(NamedTuple):
@@ -138,7 +140,7 @@ class InputBuffer:
                 event.stamp_ns, self._sign[event.wheel] * event.reading
             )
             jump_m = taken.jump * self._metres_per_count
-            return Addition(taken.changed_ns, taken.out_of_order, jump_m)
+            return Addition(taken.changed_ns, taken.out_of_order, jump_m, taken.silent_ns)
         if isinstance(event, CompassYaw):
             return self._compass.add(event)
         if isinstance(event, PoseFix):

@@ -6,6 +6,11 @@ jump, counting goes on from the new base; if it is back where the wheel was befo
 changed and the way in between is counted. So a reset costs the way of one interval, and a single
 corrupt reading none, it only comes one interval late.
 
+Time buys way, so after a silence even a jump to 0 is slow enough to be motion; but that is how a
+controller restarts: silent, then 0. A wheel that drives is seldom found just there, so after a
+silence such a reading is taken for a restart, whatever speed it would mean. Any other one is motion
+if it is slow enough: messages were lost. What the wheel did before a restart nobody has counted.
+
 The track is a function of its readings alone, not of the order in which stamped ones arrive: a
 late one is put in its place, and what follows is gone through again.
 """
@@ -19,6 +24,8 @@ long a stall of the machine or the network may lie between two readings [s]."""
 STAMP_SLACK_S = 0.02
 """Stamps of a driver are off by up to a cycle of its loop, depending on whether it reads the
 encoders before or after the clock: a cycle of 50 Hz, the slowest that is common [s]."""
+SILENCE_NS = 10**9
+"""In less time hardly a controller restarts, and the slowest encoders speak more often [ns]."""
 
 
 class Taken(NamedTuple):
@@ -29,11 +36,14 @@ class Taken(NamedTuple):
         out_of_order: whether a later one was there already.
         jump: by how much it differs from the reading believed before if that is too much to be
             motion; otherwise 0 [counts].
+        silent_ns: how long before it nothing was heard if it jumped after a silence; otherwise 0
+            [ns].
     """
 
     changed_ns: int | None
     out_of_order: bool = False
     jump: float = 0.0
+    silent_ns: int = 0
 
 
 class _Belief(NamedTuple):
@@ -110,11 +120,17 @@ class WheelTrack:
         self._beliefs.insert(place, belief)
         if place < len(self._stamps) - 1:
             self._go_through_again_from(place + 1)
-        jump = 0.0
+        jump, silent_ns = 0.0, 0
         if before is not None and belief.suspect is not None:
             jump = float(belief.suspect[1] - before.value)
+            silent_ns = stamp_ns - self._stamps[place - 1]
         changed_ns = self._stamps[place - 1] + 1 if place else stamp_ns
-        return Taken(changed_ns, place < len(self._stamps) - 1, jump)
+        return Taken(
+            changed_ns,
+            place < len(self._stamps) - 1,
+            jump,
+            silent_ns if silent_ns > SILENCE_NS else 0,
+        )
 
     def at(self, stamp_ns: int) -> float:
         """Return the count at an instant, linear between readings, held beyond them."""
@@ -148,11 +164,12 @@ class WheelTrack:
             assert self._anchor is not None
             return _Belief(stamp_ns, self._near(self._anchor, raw), self._anchor, None)
         value = self._near(before.value, raw)
-        strange = self._strangeness(value - before.value, stamp_ns - before.stamp_ns)
+        strange = self._strangeness(before.value, value, stamp_ns - before.stamp_ns)
         if before.suspect is not None:
             suspect_ns, suspected = before.suspect
             continued = self._near(suspected, raw)
-            if self._strangeness(continued - suspected, stamp_ns - suspect_ns) < min(strange, 1.0):
+            fits = self._strangeness(suspected, continued, stamp_ns - suspect_ns)
+            if fits < min(strange, 1.0):
                 return _Belief(stamp_ns, continued, suspected - before.counted(), None)
         if strange <= 1.0:
             return _Belief(stamp_ns, value, before.base, None)
@@ -165,6 +182,13 @@ class WheelTrack:
         half = self._modulus // 2
         return value + (raw - value + half) % self._modulus - half
 
-    def _strangeness(self, change: float, time_ns: int) -> float:
+    def _strangeness(self, before: float, value: float, time_ns: int) -> float:
         """Return a change as a part of what may be motion."""
-        return abs(change) / (self._fastest * time_ns * 1e-9 + self._slack)
+        limit = self._slack
+        if time_ns <= SILENCE_NS or self._is_near_0(before) or not self._is_near_0(value):
+            limit += self._fastest * time_ns * 1e-9
+        return abs(value - before) / limit
+
+    def _is_near_0(self, value: int | float) -> bool:
+        """Return whether a counter that has just started to count may show a value."""
+        return abs(self._near(0, value)) <= self._slack

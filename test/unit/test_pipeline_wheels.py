@@ -196,6 +196,70 @@ def test_a_burst_after_a_stall_is_no_jump(
         np.testing.assert_allclose(last_mean(outputs), last_mean(whole), atol=1e-9)
 
 
+def after_silence(arrivals: Sequence[Any], silent_ns: int) -> list[Any]:
+    """Return arrivals without those of a while from 4 s on."""
+    begin = BEGIN_NS + 4 * SECOND_NS
+    return [a for a in arrivals if not begin < a.now_ns < begin + silent_ns]
+
+
+@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("way", [12.0, -3.0])
+@pytest.mark.parametrize("drives_on", [False, True])
+def test_a_controller_that_restarts_after_a_silence_is_no_motion(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, way: float, drives_on: bool
+) -> None:
+    """Silent for 3 s, then 0 and on from there: at 5 m/s the way back could have been driven."""
+    start = round(way / METRES_PER_COUNT)
+    scale = 1.0 if source == "ticks" else METRES_PER_COUNT / 0.025
+    silent = after_silence(straight(arrival, source, 600, 0, start), 3 * SECOND_NS)
+    again = BEGIN_NS + 7 * SECOND_NS
+    restarted = [
+        a._replace(
+            event=a.event._replace(
+                reading=(a.now_ns - again) // STEP_NS * 20 * drives_on * scale
+            )
+        ) if a.now_ns >= again else a
+        for a in silent
+    ]  # fmt: skip
+    pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
+    outputs = feed(pipeline, restarted)
+    counted = 20 * METRES_PER_COUNT * (600 - 281) if drives_on else 0.0
+    assert last_mean(outputs)[0] == pytest.approx(counted, abs=0.2 * drives_on + 1e-9)
+    np.testing.assert_allclose(last_mean(outputs)[1:], 0.0, atol=1e-9)
+    assert dict(encoders(pipeline).values)["jumps"] == "2"
+    (said,) = [s for s in encoder_reports(outputs) if "jumped" in s.message]
+    assert said.level is Level.WARN
+    assert said.message == (
+        f"right wheel jumped by {-way:.3f} m after 3.0 s of silence: taken for a restart or a "
+        "glitch, and no motion; after a restart its way meanwhile is unknown"
+    )
+
+
+@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("speed", [-4.9, 0.5, 4.9])
+@pytest.mark.parametrize("start", [0, 40_000])
+def test_a_robot_whose_messages_were_lost_keeps_its_way(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, speed: float, start: int
+) -> None:
+    per_step = round(speed * STEP_NS * 1e-9 / METRES_PER_COUNT)
+    arrivals = straight(arrival, source, 400, per_step, start)
+    pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
+    outputs = feed(pipeline, after_silence(arrivals, 3 * SECOND_NS))
+    whole = feed(make_pipeline(encoder_source=source, **AT_ORIGIN), arrivals)
+    np.testing.assert_allclose(last_mean(outputs), last_mean(whole), atol=1e-9)
+    assert dict(encoders(pipeline).values)["jumps"] == "0"
+
+
+def test_a_reading_of_0_that_is_a_glitch_after_a_silence_costs_no_way() -> None:
+    one = track()
+    for stamp, raw in [(0, 30.0), (10**9, 33.0), (5 * 10**9, 0.0)]:
+        taken = one.add(stamp, raw)
+    assert (taken.jump, taken.silent_ns) == (-33.0, 4 * 10**9)
+    assert one.at(5 * 10**9) == 33.0
+    assert one.add(501 * 10**7, 45.0).jump == 0.0
+    assert one.at(501 * 10**7) == 45.0
+
+
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_stamps_that_jitter_by_a_drivers_cycle_are_no_jumps(
