@@ -1,27 +1,7 @@
 """What the localizer says about its own condition: one status for each part.
 
-| status | WARN | ERROR |
-| --- | --- | --- |
-| encoders | periods closed without both wheels; messages refused; a wheel jumped further than \
-`max_wheel_speed` allows for the time between two readings and 0.1 s (ticks) or 0.02 s \
-(joint_states), or after more than 1 s of silence to within that 0.1 s or 0.02 s of 0; \
-none yet | none for 3 s, from one wheel or both; a wheel is stuck: unchanged for \
-3 s or longer while the other one turned the robot by 0.5 rad or more, where the filter's turn is \
-off the wheels' by more than 5 standard deviations and by more than half |
-| compass, lrf_pose | none, or not for 3 s; messages refused; frozen: 5 readings or more in a row \
-are the same to the last digit while the wheels moved the robot by 0.5 m (fixes) or 0.5 rad \
-(compass); it does not fit the other two (`blame`), or 3 or more of its last 20 readings were \
-rejected, or these scatter outside of the 99.9 % band of their NIS now and 10 readings ago, and no \
-other sensor is suspected | |
-| filter | waits for its start; a period failed and was predicted by the wheels alone, or the \
-filter had to start anew; the pose was moved to where the fixes agree; a sensor does not fit the \
-other two, or one of several is wrong; degraded: no fix or no yaw accepted for 5 s; an adapted \
-noise is within 1 % of its bound | lost: degraded, and the position is known worse than 10 m or \
-the yaw worse than 1 rad (std) |
-| time | messages were dropped as too late or stamped more than 1 s ahead; the clock jumped; \
-whoever drives the pipeline was late by more than a period | |
-
-encoders are at WARN, too, where they do not fit the other two sensors. README says the same.
+docs/diagnostics.md has the table of what is WARN and what ERROR; a test holds its numbers against
+the constants here and in the modules of the parts.
 """
 
 from collections import Counter

@@ -1,0 +1,215 @@
+"""What the documents say of the code: links, commands, targets, parameters and numbers."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fnn_ekf_ros import cli
+from fnn_ekf_ros.core import relocation, suspects
+from fnn_ekf_ros.messages import NOISE_FIELDS
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.faults import FAULTS
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build, default_of, fields_of
+from fnn_ekf_ros.pipeline import (
+    blame,
+    encoder_health,
+    filter_health,
+    frames,
+    frozen,
+    health,
+    pipeline,
+    stuck_wheel,
+    watch,
+    wheels,
+)
+from fnn_ekf_ros.study import fault_naming
+from fnn_ekf_ros.tools import study_faults, study_real
+from fnn_ekf_ros.tools.study import STUDIES
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+STUDY_NAMES = {*STUDIES, study_real.NAME, study_faults.NAME}
+NS = 1e9
+
+
+def flat(name: str) -> str:
+    """Return a document as one line, so that a phrase may be broken anywhere."""
+    return " ".join((ROOT / name).read_text(encoding="utf-8").split())
+
+
+def blocks(text: str) -> list[str]:
+    """Return the indented blocks of a document, each without its indentation."""
+    found = re.findall(r"(?:^(?: {4}.*)?\n)+", text, flags=re.MULTILINE)
+    return [re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for block in found if block.strip()]
+
+
+def anchors(path: Path) -> set[str]:
+    """Return the names that a document's headings can be linked by."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_every_relative_link_leads_somewhere(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", path.read_text(encoding="utf-8")):
+        if re.match(r"\w+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = path.parent / name if name else path
+        assert file.is_file(), f"{path.name}: {target}"
+        if anchor:
+            assert anchor in anchors(file), f"{path.name}: {target}"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_every_command_that_is_named_exists(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    named = re.findall(r"(?:-m|ros2 run) fnn_ekf_ros (\S+)", text)
+    assert {name.strip("`") for name in named} - {"NAME"} <= cli.COMMANDS.keys()
+    studies = re.findall(r"(?:fnn_ekf_ros |`)study (\w+)", text)
+    assert set(studies) - {"WHICH"} <= STUDY_NAMES
+
+
+def test_the_readme_lists_each_command_and_study() -> None:
+    rows = re.findall(r"^\| `([\w-]+)", (ROOT / "README.md").read_text(), flags=re.MULTILINE)
+    assert cli.COMMANDS.keys() <= set(rows)
+    (line,) = re.findall(r"^\| `study.*$", (ROOT / "README.md").read_text(), flags=re.MULTILINE)
+    assert set(re.findall(r"`(\w+)`", line)) == STUDY_NAMES
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_every_target_of_make_exists(path: Path) -> None:
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+    text = path.read_text(encoding="utf-8")
+    named = re.findall(r"`make (\w+)`", text) + re.findall(r"^ {4,}make (\w+)", text, re.MULTILINE)
+    assert set(named) <= set(phony.split())
+
+
+def test_contributing_names_every_target_of_make_and_every_part_of_the_package() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+    for target in phony.split():
+        assert f"make {target}" in text, target
+    for part in (ROOT / "fnn_ekf_ros").iterdir():
+        is_module = part.suffix == ".py" and not part.name.startswith("__")
+        if is_module or (part / "__init__.py").exists():
+            assert f"    {part.name} " in text, part.name
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_every_parameter_that_is_set_exists(path: Path) -> None:
+    known = {
+        name
+        for kind in (LocalizerParameters, FakeRobotParameters)
+        for name, _, _ in fields_of(kind)
+    }
+    named = re.findall(r"-p ([^\s:]+):=", path.read_text(encoding="utf-8"))
+    assert {name for name in named if not name.startswith("qos_overrides.")} <= known
+
+
+def test_the_robot_of_the_readme_is_one_that_the_localizer_takes() -> None:
+    (block,) = [b for b in blocks((ROOT / "README.md").read_text()) if "ros__parameters" in b]
+    given = yaml.safe_load(block.partition("\n\n")[0])["/**/localizer"]["ros__parameters"]
+    parameters = build(LocalizerParameters, given)
+    assert (parameters.encoder_source, parameters.odom_frame) == ("joint_states", "odom")
+
+
+def test_diagnostics_has_the_numbers_of_the_code() -> None:
+    text = flat("docs/diagnostics.md")
+    stale = f"{encoder_health.STALE_NS / NS:g} s"
+    many = f"{blame.MANY_REJECTIONS} or more of its last {watch.READINGS} readings rejected"
+    band = f"{1.0 - blame.BAND_CHANCE:.1%}".replace("%", " %")
+    lost = f"{filter_health.LOST_POSITION_STD:g} m or the yaw worse than"
+    for phrase in (
+        f"none, or one wheel silent, for {stale}",
+        f"none yet, or silent for {stale}",
+        f"{wheels.ARRIVAL_SLACK_S:g} s (ticks) or {wheels.STAMP_SLACK_S:g} s (`joint_states`)",
+        f"after more than {wheels.SILENCE_NS / NS:g} s of silence to within that "
+        f"{wheels.ARRIVAL_SLACK_S:g} s or {wheels.STAMP_SLACK_S:g} s of 0",
+        f"unchanged for {stuck_wheel.SHORTEST_S:g} s or longer",
+        f"turned the robot by {stuck_wheel.SMALLEST_TURN:g} rad or more",
+        f"by more than {stuck_wheel.SIGMAS:g} standard deviations",
+        f"and by more than {100 * stuck_wheel.SMALLEST_PART:g} %",
+        f"{frozen.FROZEN_READINGS} readings or more in a row",
+        f"by {frozen.FROZEN_WAY:g} m (fixes) or turned it by {frozen.FROZEN_TURN:g} rad (compass)",
+        f"{many}, or these scatter outside of the {band} band",
+        f"now and {watch.LASTING} readings ago",
+        f"no fix or no yaw accepted for {filter_health.NOT_CORRECTED_NS / NS:g} s",
+        f"within {100 * filter_health.BOUND_TOLERANCE:g} % of its bound",
+        f"known worse than {lost} {filter_health.LOST_YAW_STD:g} rad (std)",
+        f"stamped more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead",
+        f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods",
+        f"publishes `odom_frame` to `base_frame` for {frames.PATIENCE_NS / NS:g} s",
+        f"for {suspects.SUSPICION**0.5:g} times larger (std)",
+        f"no period adds more than {suspects.LARGEST_GAIN:g} nats",
+        f"none grows beyond {suspects.LONGEST_LEAD:g}",
+        f"From {blame.SUSPECTED_LEAD:g} nats on",
+        f"if no other is within {blame.CLEAR_LEAD:g}",
+        f"Below {blame.SUSPECTED_LEAD:g}, rejections",
+        f"every other suspicion is under {blame.CLEARED_LEAD:g}",
+        f"After {blame.AGREEING} rejected fixes",
+        f"For {health.EXPLAINED_NS / NS:g} s after wheels or a frozen sensor",
+        f"for {len(fault_naming.FAULTS)} faults of one sensor at a time",
+    ):
+        assert phrase in text, phrase
+
+
+def test_the_table_of_noise_has_each_number_once() -> None:
+    _, _, table = (ROOT / "docs" / "diagnostics.md").read_text().partition("| index | meaning |")
+    indices: list[int] = []
+    meaning = {}
+    for cell, words in re.findall(r"^\| (\d[\d, -]*) \| (.*) \|$", table, flags=re.MULTILINE):
+        for span in cell.split(","):
+            first, _, last = span.strip().partition("-")
+            indices += range(int(first), int(last or first) + 1)
+            meaning[int(first)] = words
+    assert indices == list(range(len(NOISE_FIELDS)))
+    for name, word in (
+        ("measurement_noise_x", "R: x, y"), ("process_noise_forward", "Q for 375 ms"),
+        ("nis", "NIS and its degrees"), ("innovation_x", "innovation"),
+        ("innovation_variance_x", "variance"), ("mismatch_x", "mismatch"),
+        ("firing_increase_x", "firing"), ("log_scale_forward", "log of the variance"),
+        ("weight_start", "weights of the hypotheses"), ("nis_compass", "NIS of the compass"),
+        ("rejected_compass", "rejected the compass"), ("relocated", "moved"),
+    ):  # fmt: skip
+        assert word in meaning[NOISE_FIELDS.index(name)], name
+
+
+def test_time_has_the_defaults_and_limits_of_the_code() -> None:
+    text = flat("docs/time.md")
+    for name in ("period", "output_delay", "encoder_timeout"):
+        assert f"`{name}` ({default_of(LocalizerParameters, name):g} s)" in text, name
+    assert f"up to `history` ({default_of(LocalizerParameters, 'history'):g} s) late" in text
+    assert f"stamps more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead" in text
+    assert f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods" in text
+
+
+def test_the_readme_has_the_defaults_of_the_code() -> None:
+    text = flat("README.md")
+    defaults = {name: value for name, _, value in fields_of(LocalizerParameters)}
+    way, turn = defaults["process_noise_std"]
+    for names, shown in (
+        ("max_wheel_speed", f"{defaults['max_wheel_speed']}"),
+        ("process_noise_std", f"[{way:g}, {turn:.4f}]"),
+        ("measurement_noise_std", str(list(defaults["measurement_noise_std"]))),
+        ("adaptation", defaults["adaptation"]),
+        ("compass_gate, lrf_pose_gate", f"{defaults['compass_gate']:.0e}".replace("e-0", "e-")),
+        (
+            "period, encoder_timeout, history, output_delay",
+            "{period}, {encoder_timeout}, {history}, {output_delay}".format(**defaults),
+        ),
+    ):
+        cell = ", ".join(f"`{name}`" for name in names.split(", "))
+        assert f"| {cell} | {shown} |" in text, names
+    assert defaults["compass_gate"] == defaults["lrf_pose_gate"]
+    assert (relocation.CONFIRMATIONS, relocation.CONFIRMATION_S) == (8, 3.0)
+    assert "after eight fixes that agree with each other, over three seconds at least" in text
+
+
+def test_the_lists_of_faults_are_as_long_as_the_documents_say() -> None:
+    assert f"{len(FAULTS)} kinds of fault" in flat("docs/results.md")
+    assert f"{len(FAULTS)} kinds of fault" in flat("docs/operation.md")
+    assert f"**{len(fault_naming.FAULTS)} cases of `study faults`**" in flat("docs/results.md")
