@@ -53,6 +53,7 @@ __all__ = [
     "StepInput",
     "StepResult",
     "for_mode",
+    "lasting_noise",
     "reset_pose",
     "start_filter",
     "step",
@@ -203,12 +204,27 @@ def for_mode(model: FilterModel, state: FilterState) -> FilterState:
     if state.joint is None:
         Q, R = state.process_noise, state.measurement_noise
         return state._replace(joint=start_joint(state.mean, state.covariance, Q, R))
+    Q, R = lasting_noise(model, state.process_noise, state.measurement_noise, state.joint)
+    return state._replace(process_noise=Q, measurement_noise=R, joint=None)
+
+
+def lasting_noise(
+    model: FilterModel, Q: FloatArray, R: FloatArray, joint: JointState | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return noise without what an alarm adds for a moment, and within the bounds.
+
+    Args:
+        model: has the bounds.
+        Q: `(..., 2)` in use (m^2, rad^2).
+        R: `(..., 4)` in use.
+        joint: what joint adaptation remembers; None in the other modes, which have no alarms.
+    """
     bounds = model.adaptation.bounds
-    Q, R = calm_noise(state.joint)
-    return state._replace(
-        process_noise=np.clip(Q, bounds.process_min, bounds.process_max),
-        measurement_noise=np.clip(R, bounds.measurement_min, bounds.measurement_max),
-        joint=None,
+    if joint is not None:
+        Q, R = calm_noise(joint)
+    return (
+        np.clip(Q, bounds.process_min, bounds.process_max),
+        np.clip(R, bounds.measurement_min, bounds.measurement_max),
     )
 
 

@@ -3,12 +3,9 @@
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
-from fnn_ekf_ros.pipeline.events import Estimate, Level, Status, Wheel, WheelCount
+from fnn_ekf_ros.pipeline.events import STALE_NS, Estimate, Level, Status, Wheel, WheelCount
 from fnn_ekf_ros.pipeline.inputs import Addition, Counts
 from fnn_ekf_ros.pipeline.stuck_wheel import Look, StuckWheels
-
-STALE_NS = 3 * 10**9
-"""A sensor that has been silent for longer is called stale [ns]."""
 
 
 class EncoderHealth:
@@ -58,7 +55,7 @@ class EncoderHealth:
         self._pose_set_ns = None
 
     def closed(
-        self, end_ns: int, complete: bool, counts: Counts | None, estimate: Estimate | None
+        self, end_ns: int, complete: bool, counts: Counts, estimate: Estimate | None
     ) -> None:
         """Count a period; `complete` if both wheels were known up to its end."""
         if not complete:
@@ -67,9 +64,11 @@ class EncoderHealth:
         if self._pose_set_ns is not None and end_ns >= self._pose_set_ns:
             self._pose_set_ns = None
             self._stuck.forget()
-        if estimate is None or counts is None or counts.left is None or counts.right is None:
+        if estimate is None or counts.left is None or counts.right is None:
             self._stuck.forget()
             return
+        if estimate.result is not None and estimate.result.relocated:
+            self._stuck.forget()
         state = estimate.state
         self._stuck.look(
             Look(

@@ -6,6 +6,10 @@ from typing import NamedTuple
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.filter import FilterState, StepResult
 
+STALE_NS = 3 * 10**9
+"""What should speak, or change, and has not for longer is worth a word [ns]: a sensor, the other
+half of a transform, the counter of a wheel that should turn."""
+
 
 class Sensor(StrEnum):
     """What can be healthy or not; the names are the diagnostics' names."""
@@ -115,6 +119,20 @@ class Status(NamedTuple):
     values: tuple[tuple[str, str], ...]
 
 
+class Move(NamedTuple):
+    """A pose that was moved to where the fixes agree.
+
+    Attributes:
+        stamp_ns: when [ns].
+        way: how far [m].
+        turn: and by what angle [rad].
+    """
+
+    stamp_ns: int
+    way: float
+    turn: float
+
+
 class Estimate(NamedTuple):
     """The localizer's output for one period.
 
@@ -140,8 +158,10 @@ class Output(NamedTuple):
         stamp_ns: the period's end, ROS time [ns].
         estimate: None while the filter waits for its start.
         health: the statuses, about once a second of ROS time; otherwise None.
+        moved: a move of the pose that came to light with the period; otherwise None.
     """
 
     stamp_ns: int
     estimate: Estimate | None
     health: tuple[Status, ...] | None
+    moved: Move | None = None

@@ -12,13 +12,13 @@ from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.belief import Values, belief_in_words
 from fnn_ekf_ros.pipeline.blame import Blame
-from fnn_ekf_ros.pipeline.events import Estimate, Level, Sensor, Status
+from fnn_ekf_ros.pipeline.events import Estimate, Level, Move, Sensor, Status
 from fnn_ekf_ros.pipeline.measuring_health import OTHERS
 from fnn_ekf_ros.pipeline.start import Waiting
-from fnn_ekf_ros.pipeline.watch import Move, Watch
+from fnn_ekf_ros.pipeline.watch import Watch
 
 NOT_CORRECTED_NS = 5 * 10**9
-"""Without an accepted fix, or without an accepted yaw, for longer the filter is degraded [ns]."""
+"""If the wheels move for longer without an accepted fix or yaw the filter is degraded [ns]."""
 LOST_POSITION_STD = 10.0
 """A degraded filter whose position is known worse is lost [m]."""
 LOST_YAW_STD = 1.0
@@ -76,11 +76,13 @@ def filter_status(parameters: LocalizerParameters, look: FilterLook) -> Status:
     leads = zip(SUSPECTS, look.found.leads, strict=True)
     values += (("suspicion [nats]", ", ".join(f"{name} {lead:.1f}" for name, lead in leads)),)
 
+    values += _moves(look.watch)
+
     lost, degraded = _uncorrected(look, state)
     troubles = [
         *lost,
         *([look.failure] if look.failure else []),
-        *([_move_in_words(look.moved)] if look.moved is not None else []),
+        *([move_in_words(look.moved)] if look.moved is not None else []),
         *_blame_in_words(look.found),
         *degraded,
         *_at_bounds(parameters, look.mode, state),
@@ -89,6 +91,14 @@ def filter_status(parameters: LocalizerParameters, look: FilterLook) -> Status:
         return Status("filter", Level.OK, "running", values)
     level = Level.ERROR if lost else Level.WARN
     return Status("filter", level, "; ".join(troubles), values)
+
+
+def _moves(watch: Watch | None) -> Values:
+    if watch is None:
+        return ()
+    moved = watch.moved
+    last = "none" if moved is None else f"{moved.way:.1f} m at {moved.stamp_ns * 1e-9:.1f} s"
+    return (("moves", str(watch.moves)), ("last move", last))
 
 
 def _of_result(estimate: Estimate | None) -> Values:
@@ -116,7 +126,8 @@ def _uncorrected(look: FilterLook, state: FilterState) -> tuple[list[str], list[
         if age_ns <= NOT_CORRECTED_NS:
             continue
         what = "position" if name == "fix" else "yaw"
-        since = f"no {name} accepted for {age_ns * 1e-9:.1f} s: {what} std {std:.2g} {unit}"
+        driving = f"{age_ns * 1e-9:.1f} s of driving"
+        since = f"no {name} accepted for {driving}: {what} std {std:.2g} {unit}"
         if std > limit:
             lost.append(f"lost: {since}")
         else:
@@ -124,7 +135,8 @@ def _uncorrected(look: FilterLook, state: FilterState) -> tuple[list[str], list[
     return lost, degraded
 
 
-def _move_in_words(moved: Move) -> str:
+def move_in_words(moved: Move) -> str:
+    """Return what is said of a move."""
     turned = f" and turned by {moved.turn:.2f} rad" if abs(moved.turn) > LOST_YAW_STD else ""
     return (
         f"the robot was carried, or the fixes jumped: moved by {moved.way:.1f} m{turned} to where "

@@ -14,6 +14,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.pipeline.events import STALE_NS
 
 BUFFER_NS = 10 * 10**9
 """So much of odom -> base is kept [ns]."""
@@ -21,8 +22,6 @@ SET_BACK_NS = 10**9
 """Stamps of odom -> base that go back by more are those of a clock that was set [ns]."""
 MOST_PENDING = 8
 """So many of the newest poses wait for their odom -> base."""
-PATIENCE_NS = 3 * 10**9
-"""A pose that waits longer is worth a word [ns]."""
 
 
 class Transform(NamedTuple):
@@ -128,7 +127,7 @@ class MapToOdom:
         if self._newest_ns is None or self._answered_ns is None:
             return 0
         waited_ns = self._newest_ns - self._answered_ns
-        return waited_ns if waited_ns > PATIENCE_NS else 0
+        return waited_ns if waited_ns > STALE_NS else 0
 
     def _answer(self) -> list[Transform]:
         answers = []

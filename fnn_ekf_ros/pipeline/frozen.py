@@ -38,9 +38,9 @@ class FrozenSensor:
         else:
             self._value, self._same, self._since = value, 1, self._now
 
-    def closed(self, counts: Counts | None) -> None:
+    def closed(self, counts: Counts) -> None:
         """Take the wheels' counts at the end of a period in."""
-        if counts is None or counts.left is None or counts.right is None:
+        if counts.left is None or counts.right is None:
             self.forget()
             return
         self._now = counts.left * self._metres_per_count, counts.right * self._metres_per_count

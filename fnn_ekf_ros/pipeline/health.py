@@ -13,12 +13,14 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.belief import Values
 from fnn_ekf_ros.pipeline.blame import NOBODY, Blame, blame, symptoms_of
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
-from fnn_ekf_ros.pipeline.encoder_health import STALE_NS, EncoderHealth
+from fnn_ekf_ros.pipeline.encoder_health import EncoderHealth
 from fnn_ekf_ros.pipeline.events import (
+    STALE_NS,
     CompassYaw,
     Estimate,
     Event,
     Level,
+    Move,
     PoseFix,
     PoseReset,
     Rejected,
@@ -32,7 +34,7 @@ from fnn_ekf_ros.pipeline.inputs import Addition, Counts
 from fnn_ekf_ros.pipeline.measuring_health import OTHERS, measuring_status
 from fnn_ekf_ros.pipeline.start import Waiting
 from fnn_ekf_ros.pipeline.time_health import TimeHealth
-from fnn_ekf_ros.pipeline.watch import Move, Readings, Watch
+from fnn_ekf_ros.pipeline.watch import Readings, Watch, stands
 
 EXPLAINED_NS = 10 * 10**9
 """What a sensor did that was seen to fail explains what does not fit for so long [ns]."""
@@ -48,6 +50,7 @@ class Health:
     def __init__(self, parameters: LocalizerParameters) -> None:
         self._parameters = parameters
         self._last_ns: dict[Sensor, int] = {}
+        self._stood_ns = 0
         self._received: Counter[Sensor] = Counter()
         self._refused: Counter[Sensor] = Counter()
         self._new_refusal: dict[Sensor, str] = {}
@@ -79,6 +82,8 @@ class Health:
         if sensor is not None:
             self._received[sensor] += 1
             self._last_ns[sensor] = max(event.stamp_ns, self._last_ns.get(sensor, 0))
+            if sensor is Sensor.LRF_POSE:
+                self._stood_ns = 0
         if isinstance(event, WheelCount):
             self._encoders.saw(event, addition)
         elif isinstance(event, PoseReset):
@@ -106,6 +111,7 @@ class Health:
     def restarted(self, reason: str, from_ns: int, to_ns: int) -> None:
         """Count a restart by a jump of the clock, after which every stamp begins anew."""
         self._last_ns.clear()
+        self._stood_ns = 0
         self._last_failed_ns = None
         self._encoders.restarted()
         for frozen in self._frozen.values():
@@ -123,7 +129,7 @@ class Health:
             self._failed += 1
 
     def closed(
-        self, end_ns: int, complete: bool, counts: Counts | None, estimate: Estimate | None
+        self, end_ns: int, complete: bool, counts: Counts, estimate: Estimate | None
     ) -> None:
         """Count a period.
 
@@ -136,6 +142,9 @@ class Health:
         self._encoders.closed(end_ns, complete, counts, estimate)
         for frozen in self._frozen.values():
             frozen.closed(counts)
+        period_s = self._parameters.period
+        if complete and estimate is not None and stands(estimate.twist * period_s, period_s):
+            self._stood_ns += round(period_s * 1e9)
 
     def report(
         self,
@@ -231,8 +240,12 @@ class Health:
             return Status(sensor, level, "no message yet" if expected else "not used", values)
         age_ns = max(now_ns - last_ns, 0)
         values = (("age [s]", f"{age_ns * 1e-9:.3f}"), *values)
+        stood_ns = self._stood_ns if sensor is Sensor.LRF_POSE else 0
         if age_ns > STALE_NS:
-            return Status(sensor, Level.WARN, f"silent for {age_ns * 1e-9:.1f} s", values)
+            silent = f"silent for {age_ns * 1e-9:.1f} s"
+            if age_ns - stood_ns > STALE_NS:
+                return Status(sensor, Level.WARN, silent, values)
+            return Status(sensor, Level.OK, f"{silent}; the robot stands or stood", values)
         return Status(sensor, Level.OK, "received", values)
 
     def _missing(self, waiting: Waiting) -> str:

@@ -17,6 +17,11 @@ OTHERS = {
     Sensor.LRF_POSE: "the wheels and the compass",
 }
 """Whom a sensor disagrees with."""
+SCATTER = {
+    Scatter.AS_BELIEVED: "as believed",
+    Scatter.MORE: "more than believed",
+    Scatter.LESS: "less than believed",
+}
 
 
 def measuring_status(common: Status, frozen: str, symptoms: Symptoms, found: Blame) -> Status:
@@ -37,9 +42,9 @@ def measuring_status(common: Status, frozen: str, symptoms: Symptoms, found: Bla
     if found.culprit is sensor:
         return status._replace(level=Level.WARN, message=_accusation(sensor, symptoms))
     calm = not found.suspects and max(found.leads) < CLEARED_LEAD
-    if symptoms.scatter is Scatter.LESS and calm:
-        message = f"its readings scatter less than believed: {_against_band(symptoms)}"
-        return status._replace(level=Level.WARN, message=message)
+    if symptoms.scatter is Scatter.LESS and calm:  # cautious noise is no fault
+        message = f"received; its readings scatter less than believed: {_against_band(symptoms)}"
+        return status._replace(message=message)
     if symptoms.wild:
         return status._replace(message="received; does not fit, but it need not be to blame")
     return status
@@ -67,4 +72,5 @@ def _values(symptoms: Symptoms) -> Values:
         (f"rejected of the last {symptoms.seen}", str(symptoms.rejected)),
         ("NIS per degree of freedom", f"{symptoms.nis:.2f}"),
         (f"its {1.0 - BAND_CHANCE:.1%} band", f"{low:.2f} to {high:.2f}"),
+        ("scatter", SCATTER[symptoms.scatter]),
     )

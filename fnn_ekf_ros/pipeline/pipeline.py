@@ -19,11 +19,24 @@ import numpy as np
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, FilterModel, FilterState, for_mode
-from fnn_ekf_ros.core.joint import calm_noise
+from fnn_ekf_ros.core.filter import (
+    NOMINAL_PERIOD_S,
+    FilterModel,
+    FilterState,
+    for_mode,
+    lasting_noise,
+)
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
-from fnn_ekf_ros.pipeline.events import Estimate, Event, Output, PoseReset, Rejected, Status
+from fnn_ekf_ros.pipeline.events import (
+    Estimate,
+    Event,
+    Move,
+    Output,
+    PoseReset,
+    Rejected,
+    Status,
+)
 from fnn_ekf_ros.pipeline.health import Health
 from fnn_ekf_ros.pipeline.inputs import Counts, InputBuffer, PeriodInputs
 from fnn_ekf_ros.pipeline.period import (
@@ -154,15 +167,7 @@ class Pipeline:
             pose, covariance = last.state.mean, last.state.covariance
         if pose is None:
             return None
-        bounds = self._model.adaptation.bounds
-        Q, R = self._noise()
-        return SavedState(
-            last.stamp_ns,
-            pose,
-            covariance,
-            np.clip(Q, bounds.process_min, bounds.process_max),
-            np.clip(R, bounds.measurement_min, bounds.measurement_max),
-        )
+        return SavedState(last.stamp_ns, pose, covariance, *self._noise())
 
     def reset(self) -> None:
         """Forget the pose and all that was adapted, a warm start's too."""
@@ -210,9 +215,8 @@ class Pipeline:
         if not self._checkpoints:
             return self._start_noise
         last = self._checkpoints[-1].state
-        if isinstance(last, FilterState) and last.joint is not None:
-            return calm_noise(last.joint)
-        return last.process_noise, last.measurement_noise
+        joint = last.joint if isinstance(last, FilterState) else None
+        return lasting_noise(self._model, last.process_noise, last.measurement_noise, joint)
 
     def _state(self) -> FilterState | Waiting:
         return self._checkpoints[-1].state if self._checkpoints else Waiting(*self._start_noise)
@@ -261,9 +265,11 @@ class Pipeline:
             complete = known_ns is not None and known_ns >= end_ns
             if not complete and self._now_ns < end_ns + self._longest_wait_ns:
                 break
+            known = self._watch()
             estimate = self._run_open_periods(end_ns)
+            moved = _new_move(known, self._watch())
             self._health.closed(end_ns, complete, self._checkpoints[-1].counts, estimate)
-            outputs.append(Output(end_ns, estimate, self._report(end_ns, estimate)))
+            outputs.append(Output(end_ns, estimate, self._report(end_ns, estimate), moved))
             self._forget()
         return outputs
 
@@ -343,3 +349,12 @@ class Pipeline:
         while len(self._checkpoints) > 1 and self._checkpoints[1].stamp_ns <= oldest_needed_ns:
             self._checkpoints.popleft()
         self._inputs.forget_before(self._checkpoints[0].stamp_ns)
+
+
+def _new_move(before: Watch | None, after: Watch | None) -> Move | None:
+    """Return a move of the pose that was not known before, if there is one."""
+    moved = None if after is None else after.moved
+    known = None if before is None else before.moved
+    if moved is None or (known is not None and moved.stamp_ns <= known.stamp_ns):
+        return None
+    return moved

@@ -10,10 +10,8 @@ import math
 from typing import NamedTuple
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.pipeline.events import Wheel
+from fnn_ekf_ros.pipeline.events import STALE_NS, Wheel
 
-SHORTEST_S = 3.0
-"""For so long a wheel has to stand still [s]; as for silence."""
 SMALLEST_TURN = 0.5
 """So far the other wheel has to turn the robot about it, half the wheels' distance [rad]: less
 says little against the noise of any compass."""
@@ -96,16 +94,16 @@ class StuckWheels:
             begin, now, other = stand.begin, self._last, Wheel(1 - wheel)
             way = now.ways[other] - begin.ways[other]
             turn = (way if wheel is Wheel.LEFT else -way) / self._separation
-            duration_s = (now.stamp_ns - begin.stamp_ns) * 1e-9
-            if duration_s < SHORTEST_S or abs(turn) < SMALLEST_TURN:
+            duration_ns = now.stamp_ns - begin.stamp_ns
+            if duration_ns < STALE_NS or abs(turn) < SMALLEST_TURN:
                 continue
             std = math.sqrt(
                 begin.yaw_variance + now.yaw_variance + stand.periods * begin.turn_variance
             )
             if abs(turn - stand.turn) > max(SIGMAS * std, SMALLEST_PART * abs(turn)):
                 return (
-                    f"{wheel.name.lower()} wheel stuck: unchanged for {duration_s:.1f} s while "
-                    f"the {other.name.lower()} one moved {way:.2f} m, but the robot turned "
+                    f"{wheel.name.lower()} wheel stuck: unchanged for {duration_ns * 1e-9:.1f} s "
+                    f"while the {other.name.lower()} one moved {way:.2f} m, but the robot turned "
                     f"{stand.turn:.2f} rad, not {turn:.2f} rad"
                 )
         return ""

@@ -9,12 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import Row
-from fnn_ekf_ros.core.filter import FilterModel, FilterState, StepInput, StepResult
-from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE
-from fnn_ekf_ros.core.joint import calm_noise
+from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.filter import (
+    NOMINAL_PERIOD_S,
+    FilterModel,
+    FilterState,
+    StepInput,
+    StepResult,
+    lasting_noise,
+)
+from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, rows_of
+from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.motion import move
 from fnn_ekf_ros.core.suspects import SuspectState, no_suspects, suspect
+from fnn_ekf_ros.pipeline.events import Move
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
 from fnn_ekf_ros.pipeline.period import FAILURES
 from fnn_ekf_ros.pipeline.start import Waiting
@@ -39,29 +47,17 @@ class Readings(NamedTuple):
     rejected: tuple[bool, ...] = ()
 
 
-class Move(NamedTuple):
-    """A pose that was moved to where the fixes agree.
-
-    Attributes:
-        stamp_ns: when [ns].
-        way: how far [m].
-        turn: and by what angle [rad].
-    """
-
-    stamp_ns: int
-    way: float
-    turn: float
-
-
 class Watch(NamedTuple):
     """What is remembered.
 
     Attributes:
         suspects: who does not fit the other two.
         readings: of the compass and of the fixes, in the order of `core.gate`.
-        fix_ns: when a fix was accepted last, or the filter started [ns].
+        fix_ns: when a fix was accepted last, or the filter started, later by the time that the
+            robot has stood since [ns].
         yaw_ns: likewise of a yaw [ns].
         moved: the last time that the gate moved the pose; None: it has not.
+        moves: how often it has.
         agreeing: how many fixes in a row were rejected and agree with each other and the wheels.
     """
 
@@ -70,6 +66,7 @@ class Watch(NamedTuple):
     fix_ns: int
     yaw_ns: int
     moved: Move | None = None
+    moves: int = 0
     agreeing: int = 0
 
 
@@ -77,6 +74,15 @@ def begin_watch(state: FilterState, end_ns: int) -> Watch:
     """Return the watch over a filter that starts, or whose pose was set, at an instant [ns]."""
     nobody = no_suspects(state.mean, state.covariance)
     return Watch(nobody, (Readings(), Readings()), end_ns, end_ns)
+
+
+def stands(control: FloatArray, period_s: float) -> bool:
+    """Return whether the wheels say that the robot stood, by way and turn of a period `(2,)`.
+
+    A localizer like AMCL sends no fixes then, and nothing is wrong.
+    """
+    largest = np.asarray(STANDSTILL) * (period_s / NOMINAL_PERIOD_S)
+    return bool(np.all(np.abs(control) < largest))
 
 
 def watch_after(
@@ -102,7 +108,8 @@ def watch_after(
     if isinstance(after, Waiting):
         return None
     if watch is None or isinstance(before, Waiting) or result is None or inputs.reset is not None:
-        return begin_watch(after, end_ns)
+        begun = begin_watch(after, end_ns)
+        return begun if watch is None else begun._replace(moved=watch.moved, moves=watch.moves)
     return _watch(model, watch, before, after, inputs.step, result, end_ns)
 
 
@@ -116,14 +123,17 @@ def _watch(
     end_ns: int,
 ) -> Watch:
     """Return the watch after a period of a filter that ran all the time."""
-    accepted = period.available & ~result.rejected[..., [LRF_POSE, LRF_POSE, COMPASS, LRF_POSE]]
+    accepted = period.available & ~rows_of(result.rejected)
+    stood_ns = round(model.period_s * 1e9) if stands(period.control, model.period_s) else 0
     readings = tuple(
         _with_reading(watch.readings[sensor], result, sensor) for sensor in (COMPASS, LRF_POSE)
     )
     watch = watch._replace(
         readings=(readings[COMPASS], readings[LRF_POSE]),
-        fix_ns=end_ns if accepted[Row.X] else watch.fix_ns,
-        yaw_ns=end_ns if accepted[Row.COMPASS_YAW] or accepted[Row.LRF_YAW] else watch.yaw_ns,
+        fix_ns=end_ns if accepted[Row.X] else watch.fix_ns + stood_ns,
+        yaw_ns=end_ns
+        if accepted[Row.COMPASS_YAW] or accepted[Row.LRF_YAW]
+        else watch.yaw_ns + stood_ns,
     )
     if result.relocated:
         expected = move(model.motion_model, before.mean, period.control).mean
@@ -133,6 +143,7 @@ def _watch(
             suspects=no_suspects(after.mean, after.covariance),  # another place explains it all
             fix_ns=end_ns,
             moved=Move(end_ns, way, turn),
+            moves=watch.moves + 1,
             agreeing=0,
         )
     return watch._replace(
@@ -163,14 +174,7 @@ def _suspects(
     period: StepInput,
 ) -> SuspectState:
     """Return the suspects after a period; none where their filters leave the finite numbers."""
-    noise = before.process_noise, before.measurement_noise
-    if before.joint is not None:
-        bounds = model.adaptation.bounds
-        Q, R = calm_noise(before.joint)
-        noise = (
-            np.clip(Q, bounds.process_min, bounds.process_max),
-            np.clip(R, bounds.measurement_min, bounds.measurement_max),
-        )
+    noise = lasting_noise(model, before.process_noise, before.measurement_noise, before.joint)
     published = after.mean, after.covariance
     try:
         found = suspect(model.plant, suspects, noise, period, published)

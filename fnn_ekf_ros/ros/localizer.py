@@ -14,11 +14,13 @@ from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
+from fnn_ekf_ros.pipeline.filter_health import move_in_words
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
+from fnn_ekf_ros.ros.level_changes import LevelChanges
 from fnn_ekf_ros.ros.memory import Memory
-from fnn_ekf_ros.ros.pace import Pace
+from fnn_ekf_ros.ros.pace import LOOKS_PER_PERIOD, Pace
 from fnn_ekf_ros.ros.runtime import (
     LOG_INTERVAL_S,
     as_overrides,
@@ -37,8 +39,6 @@ from std_srvs.srv import SetBool, Trigger  # isort: skip
 INPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Best effort as for sensor data, but deep enough for a burst of a second of fast encoders."""
 OUTPUT_QOS = QoSProfile(depth=10)
-TIMER_DIVISOR = 4
-"""The clock is looked at so many times a period, to close periods that wait for the wheels."""
 
 
 class LocalizerNode(Node):  # type: ignore[misc]
@@ -60,7 +60,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._memory = Memory(self, parameters)
         self.pipeline = Pipeline(parameters, network, warm_start=self._memory.warm_start)
         self._pace = Pace(self, parameters.period, self.pipeline.overran)
-        self._levels: dict[str, Level] = {}
+        self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
         self._odom, self._noise, self._diagnostics = (
@@ -87,7 +87,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         Changes(self, parameters, network_for, self._change)
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
-        self.create_timer(parameters.period / TIMER_DIVISOR, self._look_at_clock)
+        self.create_timer(parameters.period / LOOKS_PER_PERIOD, self._look_at_clock)
         self._memory.write_regularly(self.pipeline.saved)
         self.get_logger().info(
             f"adaptation {parameters.adaptation}, odom every {parameters.period:g} s in "
@@ -136,6 +136,9 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 self._noise.publish(build_message(messages.noise(output.estimate)))
                 if self._transforms is not None:
                     self._transforms.located(output.estimate)
+            if output.moved is not None:
+                at_s = output.moved.stamp_ns * 1e-9
+                self.get_logger().warning(f"at {at_s:.1f} s {move_in_words(output.moved)}")
             if output.health is not None:
                 health = output.health
                 if self._transforms is not None:
@@ -159,19 +162,16 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     def _log_changes(self, statuses: Sequence[Status]) -> None:
         """Log a status when it gets better or worse, but not all the time; /diagnostics does."""
-        for status in statuses:
-            changed = status.level != self._levels.get(status.name, Level.OK)
-            if changed and self._may_log(f"{status.name} {status.level}"):
-                text = f"{status.name}: {status.message}"
-                log = self.get_logger()
-                # One call for each level: a logger refuses to change the level of a call.
-                if status.level is Level.OK:
-                    log.info(text)
-                elif status.level is Level.WARN:
-                    log.warning(text)
-                else:
-                    log.error(text)
-            self._levels[status.name] = status.level
+        for status in self._levels.worth_a_line(statuses, time.monotonic()):
+            text = f"{status.name}: {status.message}"
+            log = self.get_logger()
+            # One call for each level: a logger refuses to change the level of a call.
+            if status.level is Level.OK:
+                log.info(text)
+            elif status.level is Level.WARN:
+                log.warning(text)
+            else:
+                log.error(text)
 
     def _change(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
         self._settings = parameters

@@ -7,6 +7,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 LOOKS_PER_PERIOD = 4
+"""Timers of a node look so many times a period: at the clock, to close periods that wait for the
+wheels, and at whether anything keeps the node busy."""
 
 
 class Pace:

@@ -15,9 +15,8 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, default_of, fields_of
 from fnn_ekf_ros.pipeline import (
     blame,
-    encoder_health,
+    events,
     filter_health,
-    frames,
     frozen,
     health,
     pipeline,
@@ -119,7 +118,7 @@ def test_the_robot_of_the_readme_is_one_that_the_localizer_takes() -> None:
 
 def test_diagnostics_has_the_numbers_of_the_code() -> None:
     text = flat("docs/diagnostics.md")
-    stale = f"{encoder_health.STALE_NS / NS:g} s"
+    stale = f"{events.STALE_NS / NS:g} s"
     many = f"{blame.MANY_REJECTIONS} or more of its last {watch.READINGS} readings rejected"
     band = f"{1.0 - blame.BAND_CHANCE:.1%}".replace("%", " %")
     lost = f"{filter_health.LOST_POSITION_STD:g} m or the yaw worse than"
@@ -129,7 +128,7 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
         f"{wheels.ARRIVAL_SLACK_S:g} s (ticks) or {wheels.STAMP_SLACK_S:g} s (`joint_states`)",
         f"after more than {wheels.SILENCE_NS / NS:g} s of silence to within that "
         f"{wheels.ARRIVAL_SLACK_S:g} s or {wheels.STAMP_SLACK_S:g} s of 0",
-        f"unchanged for {stuck_wheel.SHORTEST_S:g} s or longer",
+        f"unchanged for {stale} or longer",
         f"turned the robot by {stuck_wheel.SMALLEST_TURN:g} rad or more",
         f"by more than {stuck_wheel.SIGMAS:g} standard deviations",
         f"and by more than {100 * stuck_wheel.SMALLEST_PART:g} %",
@@ -142,7 +141,7 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
         f"known worse than {lost} {filter_health.LOST_YAW_STD:g} rad (std)",
         f"stamped more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead",
         f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods",
-        f"publishes `odom_frame` to `base_frame` for {frames.PATIENCE_NS / NS:g} s",
+        f"publishes `odom_frame` to `base_frame` for {stale}",
         f"for {suspects.SUSPICION**0.5:g} times larger (std)",
         f"no period adds more than {suspects.LARGEST_GAIN:g} nats",
         f"none grows beyond {suspects.LONGEST_LEAD:g}",

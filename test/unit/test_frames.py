@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fnn_ekf_ros.pipeline.events import STALE_NS
 from fnn_ekf_ros.pipeline.frames import (
     BUFFER_NS,
     MOST_PENDING,
-    PATIENCE_NS,
     MapToOdom,
     Track,
     Transform,
@@ -137,10 +137,10 @@ def test_odometry_that_never_comes_is_missed_after_a_while() -> None:
     for tenth in range(31):
         joined.located(at(S + tenth * S // 10, 0.0, 0.0, 0.0))
         assert joined.missing_ns == 0
-    joined.located(at(S + PATIENCE_NS + 1, 0.0, 0.0, 0.0))
-    assert joined.missing_ns == PATIENCE_NS + 1
+    joined.located(at(S + STALE_NS + 1, 0.0, 0.0, 0.0))
+    assert joined.missing_ns == STALE_NS + 1
     joined.moved(at(0, 0.0, 0.0, 0.0))
-    joined.moved(at(S + PATIENCE_NS + 1, 0.0, 0.0, 0.0))
+    joined.moved(at(S + STALE_NS + 1, 0.0, 0.0, 0.0))
     assert joined.missing_ns == 0
 
 

@@ -13,6 +13,7 @@ from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Level,
     Output,
+    PoseFix,
     Rejected,
     Sensor,
 )
@@ -59,6 +60,82 @@ def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulate
         "time": Level.OK,
     }  # fmt: skip
     assert "silent for" in next(s.message for s in last.health if s.name == "compass")
+
+
+PARKED_NS = 15 * 10**9
+
+
+def parked(
+    arrivals: Any, arrival: Any, silent: tuple[type, ...], seconds: int, rate: int = 10
+) -> list[Any]:
+    """Return arrivals of a robot that stops at 15 s; only some of its sensors go on."""
+    before = [a for a in arrivals if a.now_ns <= PARKED_NS]
+    last = {(type(e), getattr(e, "wheel", None)): e for _, e in before}
+    return before + [
+        arrival(stamp, event._replace(stamp_ns=stamp))
+        for number in range(1, seconds * rate)
+        for stamp in [PARKED_NS + number * 10**9 // rate]
+        for event in last.values()
+        if not isinstance(event, silent)
+    ]
+
+
+def levels_of(outputs: list[Output]) -> dict[str, set[Level]]:
+    """Return the levels of each status after the robot stopped."""
+    found: dict[str, set[Level]] = {}
+    for output in outputs:
+        for status in output.health or () if output.stamp_ns > PARKED_NS + 10**9 else ():
+            found.setdefault(status.name, set()).add(status.level)
+    return found
+
+
+def test_a_parked_robot_needs_no_fixes(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
+) -> None:
+    """Fixes and yaws of a map, as AMCL sends them: none while the robot stands."""
+    changes = {"adaptation": "none", "lrf_use_yaw": True, "process_noise_std": [0.05, 0.2]}
+    arrivals = simulated(11, 30.0).arrivals
+    silent = parked(arrivals, arrival, (PoseFix, CompassYaw), 40)
+    moving = [a for a in silent if not isinstance(a.event, CompassYaw)]
+    outputs = feed(make_pipeline(**changes), moving)
+    assert {level for levels in levels_of(outputs).values() for level in levels} == {Level.OK}
+    last = {s.name: s for s in outputs[-1].health or outputs[-2].health or outputs[-3].health}
+    assert re.fullmatch(
+        r"silent for 3\d\.\d s; the robot stands or stood", last["lrf_pose"].message
+    )
+    assert float(dict(last["filter"].values)["yaw std [rad]"]) > 1.0
+
+
+def test_a_robot_that_drives_on_needs_fixes_soon(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
+) -> None:
+    pause = 20 * 10**9
+    arrivals = simulated(11, 30.0).arrivals
+    on = [
+        arrival(now_ns + pause, event._replace(stamp_ns=event.stamp_ns + pause))
+        for now_ns, event in arrivals
+        if now_ns > PARKED_NS and not isinstance(event, PoseFix)
+    ]
+    stopped = parked(arrivals, arrival, (PoseFix,), 20)
+    outputs = feed(make_pipeline(), stopped + on)
+    first = {
+        name: next(
+            o.stamp_ns for o in outputs for s in o.health or ()
+            if s.name == name and s.level is Level.WARN and o.stamp_ns > PARKED_NS and words in s[2]
+        )
+        for name, words in (("lrf_pose", "silent for 2"), ("filter", "no fix accepted for 5"))
+    }  # fmt: skip
+    assert 2.0 <= (first["lrf_pose"] - PARKED_NS - pause) * 1e-9 <= 4.5
+    assert 4.0 <= (first["filter"] - PARKED_NS - pause) * 1e-9 <= 6.5
+
+
+def test_a_compass_goes_on_while_the_robot_is_parked(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
+) -> None:
+    silent = parked(simulated(11, 30.0).arrivals, arrival, (CompassYaw,), 20)
+    found = levels_of(feed(make_pipeline(), silent))
+    assert found["compass"] == {Level.OK, Level.WARN}
+    assert found["lrf_pose"] == {Level.OK}
 
 
 def test_refused_messages_are_warned_about_once(make_pipeline: Any) -> None:

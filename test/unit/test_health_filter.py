@@ -73,6 +73,11 @@ def test_a_kidnapped_robot_is_told_of_once(
     assert told[0].level is Level.WARN
     moved = float(told[0].message.split("moved by ")[1].split(" m ")[0])
     assert moved == pytest.approx(20.0, abs=0.5)
+    (move,) = [output.moved for output in outputs if output.moved is not None]
+    assert move.way == pytest.approx(moved, abs=0.05)
+    values = dict(last_status(outputs).values)
+    assert values["moves"] == "1"
+    assert values["last move"] == f"{move.way:.1f} m at {move.stamp_ns * 1e-9:.1f} s"
     assert last_status(outputs).message == "running"
     warned = [s for s in statuses(outputs, "lrf_pose") if s.level is Level.WARN]
     assert any("readings rejected: they disagree" in s.message for s in warned)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fnn_ekf_ros.pipeline import pipeline as pipeline_module
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Level,
@@ -456,6 +457,31 @@ def test_a_pose_that_is_set_is_no_turn(make_pipeline: MakePipeline, arrival: Any
         outputs += pipeline.add(WheelCount(stamp, Wheel.RIGHT, 10 * number), stamp)
         outputs += pipeline.add(WheelCount(stamp, Wheel.LEFT, 0), stamp)
     assert not [s.message for s in encoder_reports(outputs) if "stuck" in s.message]
+
+
+@pytest.mark.parametrize("relocated", [False, True])
+def test_a_pose_that_the_gate_moves_is_no_turn(
+    make_pipeline: MakePipeline, monkeypatch: pytest.MonkeyPatch, relocated: bool
+) -> None:
+    """The yaw jumps against the wheels' turn while a wheel stands: it may be stuck, or not."""
+    run = pipeline_module.run_period
+
+    def jumping(model: Any, before: Any, inputs: Any) -> Any:
+        after, result = run(model, before, inputs)
+        if result is not None and inputs.counts.right == 13 * 150.0:
+            after = after._replace(mean=after.mean - [0.0, 0.0, 1.0])
+            result = result._replace(relocated=np.array(relocated))
+        return after, result
+
+    monkeypatch.setattr(pipeline_module, "run_period", jumping)
+    sure = {"initial_pose_std": [0.1, 0.1, 0.01], "process_noise_std": [0.05, 0.001]}
+    pipeline, outputs = make_pipeline(**AT_ORIGIN, **sure), []
+    for number in range(400):
+        stamp = BEGIN_NS + number * STEP_NS
+        outputs += pipeline.add(WheelCount(stamp, Wheel.RIGHT, 10 * number), stamp)
+        outputs += pipeline.add(WheelCount(stamp, Wheel.LEFT, 0), stamp)
+    said = [s.message for s in encoder_reports(outputs) if "left wheel stuck" in s.message]
+    assert bool(said) is not relocated
 
 
 def test_encoders_that_are_not_there_are_an_error_after_a_while(
