@@ -339,7 +339,7 @@ def write() -> int:
             lines.append((given, "the run to compare it with did not run"))
         else:
             lines.append((given, judge(given, run, usual, without)))
-    made_by = "; ".join(sorted(notes))
+    made_by = " for some rows, ".join(sorted(notes))
     write_text(TABLE, fault_tables.document(lines, runs[ROWS[0].name], made_by, PICTURE))
     fault_tables.draw(TABLE.with_name(PICTURE), [(given, runs[given.name]) for given in ROWS])
     return sum(isinstance(verdict, str) for _, verdict in lines)

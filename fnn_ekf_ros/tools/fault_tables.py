@@ -103,9 +103,8 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run | str]]) -> None:
                 continue
             error = position_error(entry.odom, entry.truth)
             axes.semilogy(entry.odom.time_ns * 1e-9, error, lw=1.0, **style)
-        axes.set(
-            xlim=(0.0, END_S), ylim=(SMALLEST_SHOWN_M, LARGEST_SHOWN_M), xticks=(0, 30, 60, 90)
-        )
+        axes.set(xlim=(0.0, END_S), ylim=(SMALLEST_SHOWN_M, LARGEST_SHOWN_M))
+        axes.set(xticks=(0, 30, 60, 90), yticks=(0.01, 0.1, 1.0, 10.0))
         axes.tick_params(labelsize="x-small")
         axes.grid(visible=True, alpha=0.25)
     for axes in grid.flat[len(runs) :]:
@@ -113,7 +112,7 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run | str]]) -> None:
     figure.supxlabel("robot time [s]", fontsize="small")
     figure.supylabel("position error [m]; grey: no fault", fontsize="small")
     try:
-        figure.savefig(path, dpi=90, metadata={"Software": None})
+        figure.savefig(path, dpi=80, metadata={"Software": None})
     except (OSError, ValueError) as error:
         raise FnnEkfError(f"'{path}' cannot be written: {error}") from None
 
