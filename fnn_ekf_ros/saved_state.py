@@ -13,6 +13,7 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSE_STD, LARGEST_POSITION
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.file_locks import NO_LOCKS, lock
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import finite_number
 from fnn_ekf_ros.pipeline.saved import SavedState
@@ -81,6 +82,35 @@ class StateFile:
         self._parameters = parameters
         self.path = Path(parameters.state_file)
         self._keep_what_is_there = False
+        self._lock: int | None = None
+
+    def claim(self) -> None:
+        """Keep the file for this localizer until `release`, or until the process ends.
+
+        Two would overwrite each other's state, and start from it elsewhere. The lock is a file
+        beside it, `FILE.lock`, which stays: each write replaces the file itself.
+
+        Raises:
+            SavedStateError: another localizer has it, or no state could ever be written there.
+        """
+        self._check_place()
+        path = self.path.with_name(f"{self.path.name}.lock")
+        try:
+            self._lock = lock(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC)
+        except BlockingIOError:
+            raise SavedStateError(
+                f"parameter 'state_file' is '{self.path}', which another localizer uses: expected "
+                "a file of its own for each"
+            ) from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise SavedStateError(f"'{path}' cannot be locked: {error.strerror}") from None
+
+    def release(self) -> None:
+        """Leave the file to the next one."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def find(self) -> Found:
         """Return the state that is there, and tidy up after a writer that was killed.
@@ -88,12 +118,7 @@ class StateFile:
         Raises:
             SavedStateError: no state could ever be written there.
         """
-        folder = self.path.absolute().parent
-        if not folder.is_dir() or not os.access(folder, os.W_OK) or self.path.is_dir():
-            raise SavedStateError(
-                f"parameter 'state_file' is '{self.path}': expected a file in a folder that is "
-                "there and can be written to"
-            )
+        self._check_place()
         cut_off = remove_partials(self.path) > 0
         if not self.path.exists():
             return Found(None, "", cut_off, "")
@@ -103,6 +128,14 @@ class StateFile:
             self._keep_what_is_there = True
             return Found(None, "", cut_off, str(error))
         return Found(state, saved_at, cut_off, "")
+
+    def _check_place(self) -> None:
+        folder = self.path.absolute().parent
+        if not folder.is_dir() or not os.access(folder, os.W_OK) or self.path.is_dir():
+            raise SavedStateError(
+                f"parameter 'state_file' is '{self.path}': expected a file in a folder that is "
+                "there and can be written to"
+            )
 
     def write(self, state: SavedState, saved_at: datetime) -> None:
         """Write a state; a file that `find` refused is kept, as `NAME.broken`, the first one.
@@ -120,6 +153,13 @@ class StateFile:
                 raise SavedStateError(f"'{broken}' cannot be written: {error.strerror}") from None
             self._keep_what_is_there = False
         write_text(self.path, text)
+
+
+def age_in_words(state: SavedState, now_ns: int) -> str:
+    """Return how old a pose is by ROS time now [ns]; another clock may be earlier."""
+    if now_ns < state.stamp_ns:
+        return f"its pose is of {state.stamp_ns * 1e-9:.0f} s, which this clock has not reached"
+    return f"its pose is {(now_ns - state.stamp_ns) * 1e-9:.0f} s old"
 
 
 def render_state(state: SavedState, parameters: LocalizerParameters, saved_at: datetime) -> str:

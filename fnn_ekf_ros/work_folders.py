@@ -5,8 +5,6 @@ in it: the lock goes with the process, however it ends and in whichever containe
 next one that makes the same result finds a folder without a lock.
 """
 
-import errno
-import fcntl
 import logging
 import os
 import re
@@ -15,8 +13,8 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
-"""What a file system without locks answers; there nobody's folders stay."""
+from fnn_ekf_ros.file_locks import NO_LOCKS, lock
+
 _LOG = logging.getLogger(__name__)
 """Unless the program says otherwise, its warnings go to stderr as they are."""
 
@@ -50,8 +48,8 @@ class WorkFolder:
                 try:
                     self._lock = _lock(self.path)
                 except OSError as error:
-                    if error.errno not in _NO_LOCKS:
-                        raise
+                    if error.errno not in NO_LOCKS:
+                        raise  # without locks nobody's folders stay
                 if self.path.exists():
                     return
             self.remove()  # somebody took it for nobody's before it was locked
@@ -72,12 +70,12 @@ class WorkFolder:
             if not {entry.name for entry in folder.iterdir()} <= own:
                 continue
             try:
-                lock = _lock(folder)
+                held = _lock(folder)
             except OSError:
                 continue  # somebody is writing in it, or it is just going
             size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
             shutil.rmtree(folder, ignore_errors=True)
-            os.close(lock)
+            os.close(held)
             _LOG.warning(
                 "removed '%s': %.1f MB of '%s', whose writer was killed before it was done",
                 folder, size / 1e6, self._result,
@@ -91,10 +89,4 @@ def _lock(folder: Path) -> int:
         BlockingIOError: somebody else has it.
         OSError: the folder is not there, or its file system has no locks.
     """
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise
-    return descriptor
+    return lock(folder, os.O_RDONLY | os.O_DIRECTORY)

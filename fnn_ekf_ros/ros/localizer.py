@@ -97,6 +97,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
     def destroy_node(self) -> None:
         """Keep the state and leave ROS."""
         self._memory.write(self.pipeline.saved())
+        self._memory.close()
         super().destroy_node()
 
     def _now_ns(self) -> int:

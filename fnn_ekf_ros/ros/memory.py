@@ -7,7 +7,7 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import NO_FILE
 from fnn_ekf_ros.pipeline.saved import SavedState
-from fnn_ekf_ros.saved_state import StateFile
+from fnn_ekf_ros.saved_state import StateFile, age_in_words
 
 from rclpy.clock import Clock, ClockType  # isort: skip
 from rclpy.node import Node  # isort: skip
@@ -27,7 +27,7 @@ class Memory:
         warm_start: the state to start from, if the parameters ask for it and it can be read.
 
     Raises:
-        FnnEkfError: nothing can be written there.
+        FnnEkfError: nothing can be written there, or another localizer writes there.
     """
 
     def __init__(self, node: Node, parameters: LocalizerParameters) -> None:
@@ -37,13 +37,15 @@ class Memory:
         if parameters.state_file == NO_FILE:
             return
         self._file = StateFile(parameters)
+        self._file.claim()
         found = self._file.find()
         for line in found.in_words(self._file.path):
             node.get_logger().warning(line)
         if parameters.warm_start:
             self.warm_start = found.state
             node.get_logger().info(
-                f"starting from the state of {found.saved_at} in '{self._file.path}'"
+                f"starting from the state of {found.saved_at} in '{self._file.path}'; "
+                + age_in_words(found.state, int(node.get_clock().now().nanoseconds))
                 if found.state is not None
                 else f"starting without a state: '{self._file.path}' has none"
             )
@@ -53,6 +55,11 @@ class Memory:
         if self._file is not None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self._node.create_timer(WRITE_INTERVAL_S, lambda: self.write(state_now()), clock=steady)
+
+    def close(self) -> None:
+        """Leave the file to the next one."""
+        if self._file is not None:
+            self._file.release()
 
     def write(self, state: SavedState | None) -> None:
         """Write a state, if there is one; what goes wrong is logged."""

@@ -1,5 +1,6 @@
 """The state file of a live localizer."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,9 @@ def test_the_state_of_one_node_starts_the_next(
     np.testing.assert_array_equal(saved.pose, [1.0, 2.0, 0.5])
 
     second = bench(*keep, "-p", "warm_start:=true")
-    assert "starting from the state of 20" in capfd.readouterr().err
+    said = capfd.readouterr().err
+    assert "starting from the state of 20" in said
+    assert re.search(r"; its pose is of \d+ s, which this clock has not reached", said)
     second.set_clock(7 * 10**9)
     second.spin_until(second.localizer.pipeline.saved, "the warm start")
     np.testing.assert_array_equal(second.localizer.pipeline.saved().pose, saved.pose)
@@ -81,7 +84,8 @@ def test_a_broken_state_is_a_cold_start_and_said(
     assert len(warnings) == 2
     assert f"the last write of state_file '{file}' was cut off; there is no other" in warnings[0]
     assert f"state_file '{file}' is of a robot with wheel_radius None" in warnings[1]
-    assert [entry.name for entry in file.parent.iterdir()] == [file.name]
+    left = {entry.name for entry in file.parent.iterdir()}
+    assert left == {file.name, f"{file.name}.lock"}
     opened.set_clock(5 * 10**9)
     opened.spin_until(opened.localizer.pipeline.saved, "the cold start")
     opened.close()
@@ -97,11 +101,28 @@ def test_a_write_that_fails_is_an_error_in_the_log(
     opened = bench("-p", f"state_file:={file}", *START)
     opened.set_clock(5 * 10**9)
     opened.spin_until(opened.localizer.pipeline.saved, "the start")
+    file.with_name(f"{file.name}.lock").unlink()
     file.parent.rmdir()
     opened.close()
     errors = [line for line in capfd.readouterr().err.splitlines() if "[ERROR]" in line]
     assert len(errors) == 1
     assert f"the state is not kept: '{file}' cannot be written" in errors[0]
+
+
+def test_a_second_node_does_not_use_the_same_file(
+    bench: MakeBench, file: Path, processes: Any
+) -> None:
+    bench("-p", f"state_file:={file}", *START)
+    ended = processes.run(
+        "localizer", "--ros-args", "-r", "__ns:=/second", "-p", "wheel_radius:=0.025",
+        "-p", "wheel_separation:=0.6", "-p", "encoder_counts_per_revolution:=500.0",
+        "-p", f"state_file:={file}",
+    )  # fmt: skip
+    assert ended.returncode == 1
+    assert ended.stderr.strip() == (
+        f"localizer: parameter 'state_file' is '{file}', which another localizer uses: expected a "
+        "file of its own for each"
+    )
 
 
 def test_a_place_without_a_folder_ends_the_node_with_one_line(processes: Any) -> None:

@@ -35,8 +35,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "simulation": {"core", "messages", "parameters", "pipeline"},
     "study": {"core", "membership", "parameters", "pipeline", "simulation"},
     "training": {"core", "membership", "parameters", "pipeline", "simulation", "study"},
-    "saved_state": {"core", "errors", "parameters", "pipeline", "text_files", "yaml_text"},
-    "work_folders": set(),
+    "file_locks": set(),
+    "saved_state": {
+        "core", "errors", "file_locks", "parameters", "pipeline", "text_files", "yaml_text",
+    },
+    "work_folders": {"file_locks"},
     "bag_files": {"errors", "messages", "work_folders"},
     "tools": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",

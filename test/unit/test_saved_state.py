@@ -16,7 +16,13 @@ from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.pipeline.saved import SavedState
-from fnn_ekf_ros.saved_state import SavedStateError, StateFile, read_state, render_state
+from fnn_ekf_ros.saved_state import (
+    SavedStateError,
+    StateFile,
+    age_in_words,
+    read_state,
+    render_state,
+)
 
 WHEN = datetime(2026, 11, 22, 10, 0, 0, tzinfo=UTC)
 ROOT = Path(__file__).resolve().parents[2]
@@ -143,6 +149,52 @@ def test_a_place_that_cannot_be_written_to_is_refused_at_once(
     for name in ("nowhere/state.yaml", "."):
         with pytest.raises(SavedStateError, match="parameter 'state_file' is"):
             StateFile(make_parameters(state_file=str(tmp_path / name))).find()
+
+
+def test_two_localizers_do_not_share_a_file(parameters: LocalizerParameters) -> None:
+    first, second = StateFile(parameters), StateFile(parameters)
+    first.claim()
+    with pytest.raises(SavedStateError, match="which another localizer uses") as refused:
+        second.claim()
+    assert "\n" not in str(refused.value)
+    first.release()
+    second.claim()
+    second.release()
+
+
+CLAIMS = """
+import sys
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.saved_state import StateFile
+file = StateFile(LocalizerParameters(
+    wheel_radius=0.025, wheel_separation=0.6, encoder_counts_per_revolution=500.0,
+    state_file=sys.argv[1]))
+file.claim()
+print("claimed", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_killed_localizer_leaves_its_file_to_the_next(parameters: LocalizerParameters) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", CLAIMS, parameters.state_file],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    ) as holder:  # fmt: skip
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "claimed\n"
+        with pytest.raises(SavedStateError, match="which another localizer uses"):
+            StateFile(parameters).claim()
+        holder.kill()
+        holder.stdout.read()
+    file = StateFile(parameters)
+    file.claim()
+    file.release()
+
+
+def test_the_age_of_a_state_is_told(state: SavedState) -> None:
+    assert age_in_words(state, 246_456_789_012) == "its pose is 123 s old"
+    assert age_in_words(state, 0) == "its pose is of 123 s, which this clock has not reached"
 
 
 WRITES_FOREVER = """
