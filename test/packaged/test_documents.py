@@ -8,6 +8,8 @@ import yaml
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
+from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.messages import NOISE_FIELDS
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import FAULTS
@@ -120,6 +122,7 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
     text = flat("docs/diagnostics.md")
     stale = f"{events.STALE_NS / NS:g} s"
     many = f"{blame.MANY_REJECTIONS} or more of its last {watch.READINGS} readings rejected"
+    way, turn = STANDSTILL
     band = f"{1.0 - blame.BAND_CHANCE:.1%}".replace("%", " %")
     lost = f"{filter_health.LOST_POSITION_STD:g} m or the yaw worse than"
     for phrase in (
@@ -134,9 +137,10 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
         f"and by more than {100 * stuck_wheel.SMALLEST_PART:g} %",
         f"{frozen.FROZEN_READINGS} readings or more in a row",
         f"by {frozen.FROZEN_WAY:g} m (fixes) or turned it by {frozen.FROZEN_TURN:g} rad (compass)",
-        f"{many}, or these scatter outside of the {band} band",
+        f"{many}, or these scatter more than the {band} band",
         f"now and {watch.LASTING} readings ago",
-        f"no fix or no yaw accepted for {filter_health.NOT_CORRECTED_NS / NS:g} s",
+        f"less than {1e3 * way:g} mm and {1e3 * turn:g} mrad in {1e3 * NOMINAL_PERIOD_S:g} ms",
+        f"no fix or no yaw accepted for {filter_health.NOT_CORRECTED_NS / NS:g} s of driving",
         f"within {100 * filter_health.BOUND_TOLERANCE:g} % of its bound",
         f"known worse than {lost} {filter_health.LOST_YAW_STD:g} rad (std)",
         f"stamped more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead",
