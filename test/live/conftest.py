@@ -240,5 +240,7 @@ def recordings() -> Path:
     """Recordings of real robots that are not part of the project."""
     folder = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip("no recordings of real robots: FNN_EKF_ROS_RECORDINGS can name their folder")
+        pytest.skip(
+            f"no recordings of real robots in '{folder}': FNN_EKF_ROS_RECORDINGS names their folder"
+        )
     return folder

@@ -1,5 +1,6 @@
 """Recordings played into live topics, and what the live localizer makes of them."""
 
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,8 @@ GOOD_NOISE = [
     "-p", "lrf_yaw_std:=0.3", "-p", "adaptation:=none",
 ]  # fmt: skip
 """Found by hand for one of the recordings, so that nothing is left to adapt."""
+LONGEST_S = 700.0
+"""So much of a real recording is played."""
 
 
 def played(
@@ -29,9 +32,32 @@ def played(
     topics: list[str],
     rate: int = 10,
 ) -> Score:
-    """Play a bag into a live localizer and score its odom."""
-    out = processes.folder / "live"
-    with Recorder(out, {"/odom": messages.ODOMETRY_TYPE}) as recorder:
+    """Play a bag into a live localizer and score its odom.
+
+    A localizer that itself says that it was held up is given another go, at half the rate.
+    """
+    for slower in (1, 2, 4):
+        out = processes.folder / f"live{slower}"
+        play_once(processes, patiently, bag, out, options, topics, rate / slower)
+        overruns = held_up(out)
+        if not overruns:
+            return scored(out, bag)
+        print(f"rate {rate / slower:g}: {overruns} cycle overruns")
+    pytest.fail("the machine is too busy")
+
+
+def play_once(
+    processes: Any,
+    patiently: Callable[..., None],
+    bag: Path,
+    out: Path,
+    options: list[str],
+    topics: list[str],
+    rate: float,
+) -> None:
+    """Play a bag into a live localizer and record what it publishes."""
+    published = {"/odom": messages.ODOMETRY_TYPE, "/diagnostics": messages.DIAGNOSTICS_TYPE}
+    with Recorder(out, published) as recorder:
         localizer = processes.start("localizer", "--ros-args", *options, "-p", "use_sim_time:=true")
         patiently(lambda: recorder.spin_once(0.05) or recorder.connected(), "the localizer")
         player = processes.start(
@@ -39,14 +65,24 @@ def played(
             "--wait-for-subscribers", 60, "--delay", 1,
         )  # fmt: skip
         patiently(
-            lambda: recorder.spin_once(0.05) or player.poll() is not None, "the player", 400.0
+            lambda: recorder.spin_once(0.05) or player.poll() is not None, "the player", 800.0
         )
         assert player.returncode == 0, processes.output(player)
         processes.stop(localizer)
         until = time.monotonic() + 0.5
         while time.monotonic() < until:
             recorder.spin_once(0.05)
-    return scored(out, bag)
+
+
+def held_up(recording: Path) -> int:
+    """Return how often a localizer says that it was late by more than a period."""
+    overruns = 0
+    with BagReader(recording) as bag:
+        for record in bag.records({"/diagnostics"}):
+            for status in bag.message(record).status:
+                if status.name == "localizer: time":
+                    overruns = int({e.key: e.value for e in status.values}["cycle overruns"])
+    return overruns
 
 
 def scored(estimate: Path, truth: Path) -> Score:
@@ -108,10 +144,15 @@ def test_live_equals_replay_on_a_real_robot(
     truth: list[str],
     worst_position: float,
 ) -> None:
-    bag = processes.folder / "bag"
+    bag, folder = processes.folder / "bag", processes.folder
+    for file in (f"{name}.csv", f"{name}_fixes.csv"):
+        first, *rows = (recordings / file).read_text().splitlines(keepends=True)
+        short = [row for row in rows if float(row.split(",")[0]) < LONGEST_S]
+        (folder / file).write_text("".join([first, *short]))
+    shutil.copy(recordings / f"{name}.json", folder)
     made = processes.run(
-        "import-csv", recordings / f"{name}.csv", bag, "--fixes", recordings / f"{name}_fixes.csv",
-        "--geometry", recordings / f"{name}.json", "--truth-columns", *truth,
+        "import-csv", folder / f"{name}.csv", bag, "--fixes", folder / f"{name}_fixes.csv",
+        "--geometry", folder / f"{name}.json", "--truth-columns", *truth,
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
     offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *GOOD_NOISE])

@@ -19,7 +19,7 @@ DATA = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", BESIDE))
 Succeed = Callable[..., str]
 needs_data = pytest.mark.skipif(
     not DATA.is_dir(),
-    reason="no recordings of real robots: FNN_EKF_ROS_RECORDINGS can name their folder",
+    reason=f"no recordings of real robots in '{DATA}': FNN_EKF_ROS_RECORDINGS names their folder",
 )
 
 

@@ -35,7 +35,7 @@ BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
 DATA = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", BESIDE))
 needs_data = pytest.mark.skipif(
     not DATA.is_dir(),
-    reason="no recordings of real robots: FNN_EKF_ROS_RECORDINGS can name their folder",
+    reason=f"no recordings of real robots in '{DATA}': FNN_EKF_ROS_RECORDINGS names their folder",
 )
 CELLS = (Cell(1.0, 1.0), Cell(1.0 / 25.0, 25.0), Cell(4.0, 1.0 / 25.0))
 FILTERS: dict[str, dict[str, Any]] = {
