@@ -25,6 +25,7 @@ from fnn_ekf_ros.ros.localizer import LocalizerNode
 from fnn_ekf_ros.ros.runtime import parameters_from_ros
 
 ROOT = Path(__file__).resolve().parents[2]
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PATIENCE_S = 60.0
 PAPERS_ROBOT = [
     "-p", "wheel_radius:=0.025", "-p", "wheel_separation:=0.6",
@@ -53,6 +54,7 @@ class Processes:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(folder / "log"),
             "PYTHONUNBUFFERED": "1",
+            PROFILES: str(ROOT / "test" / "support" / "discovery.xml"),
         }
         if prefix_of_workspace() is None:
             self.environment["PYTHONPATH"] = str(ROOT)
@@ -179,7 +181,7 @@ def processes(tmp_path: Path, domain: int) -> Iterator[Processes]:
 @pytest.fixture
 def ros_environment(monkeypatch: pytest.MonkeyPatch, processes: Processes) -> None:
     """The same domain for nodes in this process."""
-    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR"):
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", PROFILES):
         monkeypatch.setenv(name, processes.environment[name])
 
 

@@ -36,7 +36,7 @@ from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Output, Rejected
 from fnn_ekf_ros.pipeline.pipeline import LONGEST_SILENCE_PERIODS, Pipeline
 
-MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_MESSAGES", "30000"))
+MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_MESSAGES", "10000"))
 FIRST_SEED = int(os.environ.get("FNN_EKF_ROS_HOSTILE_SEED", "0"))
 EXAMPLES = 10
 """So many recipes are drawn from one of hypothesis' seeds."""
