@@ -34,7 +34,7 @@ from fnn_ekf_ros.ros.build import build_message, message_class
 pytestmark = pytest.mark.live
 
 IN_FULL = "FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES" in os.environ
-MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES", "10000"))
+MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES", "4000"))
 FIRST_SEED = int(os.environ.get("FNN_EKF_ROS_HOSTILE_SEED", "0"))
 CHUNK = 150
 """So many messages are sent before the node is asked whether it still answers."""

@@ -30,20 +30,33 @@ def played(
     bag: Path,
     options: list[str],
     topics: list[str],
+    offline: Score,
     rate: int = 10,
 ) -> Score:
     """Play a bag into a live localizer and score its odom.
 
-    A localizer that itself says that it was held up is given another go, at half the rate.
+    A localizer that differs from the replay and says itself that it was held up is given another
+    go, at half the rate.
     """
     for slower in (1, 2, 4):
         out = processes.folder / f"live{slower}"
         play_once(processes, patiently, bag, out, options, topics, rate / slower)
-        overruns = held_up(out)
-        if not overruns:
-            return scored(out, bag)
-        print(f"rate {rate / slower:g}: {overruns} cycle overruns")
-    pytest.fail("the machine is too busy")
+        live, overruns = scored(out, bag), held_up(out)
+        if same(live, offline) or not overruns:
+            break
+        print(f"rate {rate / slower:g}: {overruns} cycle overruns, {live}, offline {offline}")
+    return live
+
+
+def same(live: Score, offline: Score) -> bool:
+    """Return whether live and replay agree but for when ticks arrived."""
+    return live.count >= 0.9 * offline.count and all(
+        a == pytest.approx(b, rel=0.05, nan_ok=True)
+        for a, b in (
+            (live.rmse_position, offline.rmse_position),
+            (live.rmse_theta, offline.rmse_theta),
+        )
+    )
 
 
 def play_once(
@@ -118,11 +131,11 @@ def test_live_equals_replay_on_a_simulated_bag(
     made = processes.run("simulate", bag, "--duration", 60, "-p", "seed:=7", "-p", "path:=sim1")
     assert made.returncode == 0, made.stderr
     options = ["-p", "adaptation:=r", "-p", f"encoder_source:={source}"]
+    offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *options])
     live = played(
         processes, patiently, bag, ["--params-file", f"{bag}.yaml", *options],
-        ["compass", "lrf_pose", *topics], rate,
+        ["compass", "lrf_pose", *topics], offline, rate,
     )  # fmt: skip
-    offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *options])
     assert live.count >= 0.9 * offline.count
     assert live.rmse_position == pytest.approx(offline.rmse_position, rel=0.05)
     assert live.rmse_theta == pytest.approx(offline.rmse_theta, rel=0.05)
@@ -158,7 +171,7 @@ def test_live_equals_replay_on_a_real_robot(
     offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *GOOD_NOISE])
     live = played(
         processes, patiently, bag, ["--params-file", f"{bag}.yaml", *GOOD_NOISE],
-        ["left_ticks", "right_ticks", "lrf_pose"],
+        ["left_ticks", "right_ticks", "lrf_pose"], offline,
     )  # fmt: skip
     print(f"{name}: live {live}, offline {offline}")
     assert offline.rmse_position <= worst_position
