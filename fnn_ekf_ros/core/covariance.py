@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray, symmetrize
+from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray, symmetrize
 from fnn_ekf_ros.core.limits import (
+    CORRELATION_MARGIN,
     LARGEST_POSE_STD,
     LARGEST_STD,
     SMALLEST_CORRELATION_EIGENVALUE,
@@ -36,10 +37,15 @@ def limit_uncertainty(covariance: FloatArray) -> FloatArray:
     """Return covariances `(..., 3, 3)` scaled back where a pose is as good as lost.
 
     Beyond `LARGEST_POSE_STD` a fix that is good to a tenth of a millimetre would no longer
-    leave a positive definite covariance in double precision. Correlations are kept.
+    leave a positive definite covariance in double precision. Correlations are kept but for
+    `CORRELATION_MARGIN`, and that from a tenth of it on only.
     """
     std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    if np.all(std <= LARGEST_POSE_STD):
+    largest = np.asarray(LARGEST_POSE_STD)
+    vague = np.any(std > 0.1 * largest, axis=-1)
+    if not np.any(vague):
         return covariance
-    scale = np.minimum(1.0, np.asarray(LARGEST_POSE_STD) / std)
-    return np.asarray(covariance * scale[..., :, None] * scale[..., None, :], dtype=np.float64)
+    scale = np.minimum(1.0, largest / std)
+    limited = covariance * scale[..., :, None] * scale[..., None, :]
+    apart = (1.0 - CORRELATION_MARGIN) * limited + CORRELATION_MARGIN * limited * np.eye(STATE_SIZE)
+    return np.asarray(np.where(vague[..., None, None], apart, covariance), dtype=np.float64)

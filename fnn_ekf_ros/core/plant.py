@@ -7,6 +7,7 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, diagonal_matrix
 from fnn_ekf_ros.core.covariance import limit_uncertainty
 from fnn_ekf_ros.core.kalman import predict_covariance
+from fnn_ekf_ros.core.limits import SMALLEST_STD
 from fnn_ekf_ros.core.motion import MotionModel, displacement, move
 
 NOMINAL_PERIOD_S = 0.375
@@ -103,6 +104,8 @@ def carry_to_end(plant: Plant, heading: FloatArray, period: StepInput) -> FloatA
 def noise_matrix(plant: Plant, measurement_noise: FloatArray, period: StepInput) -> FloatArray:
     """Return R `(..., 4, 4)`: the filter's own, or what the sensors reported times its scale.
 
+    No scale makes a report better than `SMALLEST_STD`, as no report is.
+
     Args:
         plant: the robot, with the R that reported covariances are scaled against.
         measurement_noise: `(..., 4)` diagonal of the filter's own R.
@@ -112,6 +115,8 @@ def noise_matrix(plant: Plant, measurement_noise: FloatArray, period: StepInput)
     if period.measurement_covariance is None:
         return own
     scale: FloatArray = np.sqrt(measurement_noise / np.asarray(plant.measurement_noise))
+    stds = np.sqrt(np.diagonal(period.measurement_covariance, axis1=-2, axis2=-1))
+    scale = np.maximum(scale, SMALLEST_STD / stds)
     reported = period.measurement_covariance * scale[..., :, None] * scale[..., None, :]
     both = period.available[..., :, None] & period.available[..., None, :]
     return np.where(both, reported, own)
