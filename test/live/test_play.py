@@ -131,6 +131,8 @@ def test_live_equals_replay_on_a_simulated_bag(
     made = processes.run("simulate", bag, "--duration", 60, "-p", "seed:=7", "-p", "path:=sim1")
     assert made.returncode == 0, made.stderr
     options = ["-p", "adaptation:=r", "-p", f"encoder_source:={source}"]
+    if source == "joint_states":  # a node that is held up waits for them
+        options += ["-p", "encoder_timeout:=60.0", "-p", "history:=10.0"]
     offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *options])
     live = played(
         processes, patiently, bag, ["--params-file", f"{bag}.yaml", *options],
