@@ -38,7 +38,7 @@ def played(
     A localizer that differs from the replay and says itself that it was held up is given another
     go, at half the rate.
     """
-    for slower in (1, 2, 4):
+    for slower in (1, 2, 4, 8):
         out = processes.folder / f"live{slower}"
         play_once(processes, patiently, bag, out, options, topics, rate / slower)
         live, overruns = scored(out, bag), held_up(out)
