@@ -88,6 +88,11 @@ class Adaptation:
     bounds: NoiseBounds
     learning: bool = True
 
+    @property
+    def learns_measurement_noise(self) -> bool:
+        """Whether R moves."""
+        return self.learning and self.mode in (AdaptationMode.R, AdaptationMode.JOINT)
+
 
 class Adapted(NamedTuple):
     """Noise after one step of adaptation, and why.

@@ -175,7 +175,7 @@ def start_filter(
         window=empty_window(model.adaptation.window_length, batch),
         joint=start_joint(mean, covariance, Q, R) if joint else None,
         gate=start_gate(batch),
-        candidate=no_candidate(mean, covariance),
+        candidate=no_candidate(mean, covariance, Q, R),
     )
 
 
@@ -188,7 +188,7 @@ def reset_pose(state: FilterState, mean: FloatArray, covariance: FloatArray) -> 
         window=empty_window(length, mean.shape[:-1]),
         joint=None if state.joint is None else at_pose(state.joint, mean, covariance),
         gate=start_gate(mean.shape[:-1]),
-        candidate=no_candidate(mean, covariance),
+        candidate=no_candidate(mean, covariance, state.process_noise, state.measurement_noise),
     )
 
 
@@ -293,7 +293,12 @@ def step(
         R,
         window,
         joint,
-        after_verdict(state.gate, verdict, relocation.agrees),
+        after_verdict(
+            state.gate,
+            verdict,
+            relocation.agrees,
+            widens=not model.adaptation.learns_measurement_noise,
+        ),
         candidate,
     )
     result = StepResult(

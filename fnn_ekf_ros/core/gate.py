@@ -1,13 +1,15 @@
 """The gate: readings that cannot be are kept from the filter, sensor by sensor.
 
 A reading is rejected if its normalised innovation squared NIS = r' S^-1 r exceeds what a right
-one exceeds with a small chance, times the sensor's recent *spread*. Nothing can be locked out:
+one exceeds with a small chance, times the sensor's *spread*. Nothing can be locked out:
 
-    spread      s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
-                s <- 1.65 s with one that is rejected and that agrees with none before it:
-                it is the noise that is wrong, and the gate opens to it in a few readings
+    learning    where R is learned, readings that are rejected and agree with nothing teach that it
+                was too small, and the spread is 1
+    spread      where it is not, the gate widens instead,
+                s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
+                s <- 1.65 s with one that is rejected and that agrees with none before it
     relocation  readings that are rejected but agree with each other are another place
-                (`relocation`): the spread stays, and the pose moves there after some seconds
+                (`relocation`): the pose moves there after some seconds
 
 A reading that is rejected teaches the adaptation nothing, unless the one before it or several of
 late were rejected, too, and no other place of the robot explains it: that is noise, and noise is
@@ -33,6 +35,8 @@ SPREAD_MEMORY = 0.7
 SPREAD_GROWTH = 1.65
 """With e^(1/2) a rejected reading, a gate that is too tight by 25 in variance opens after six."""
 
+LARGEST_SPREAD = 1e5
+"""Noise is never told too small by more than 300 in std: a fix in millimetres stays rejected."""
 SHARE_MEMORY = 0.9
 """Part of the share of rejected readings that is remembered from one to the next."""
 NOISY_SHARE = 0.095
@@ -142,23 +146,27 @@ def rows_of(sensors: BoolArray) -> BoolArray:
     return sensors[..., SENSOR_OF_ROW]
 
 
-def after_verdict(state: GateState, verdict: Verdict, agrees: BoolArray) -> GateState:
+def after_verdict(
+    state: GateState, verdict: Verdict, agrees: BoolArray, *, widens: bool
+) -> GateState:
     """Return the state after a period.
 
     Args:
         state: before it.
         verdict: what was said in it.
         agrees: `(..., 2)` whether a reading agrees with those that were rejected before it.
+        widens: whether the spread follows the readings; otherwise it goes back to 1.
     """
     n = np.maximum(verdict.degrees_of_freedom, 1.0)
     remembered = SPREAD_MEMORY * state.spread + (1.0 - SPREAD_MEMORY) * verdict.nis / n
-    grown = np.where(agrees, state.spread, SPREAD_GROWTH * state.spread)
-    spread = np.where(verdict.rejected, grown, np.maximum(1.0, remembered))
+    grown = np.minimum(SPREAD_GROWTH * state.spread, LARGEST_SPREAD)
+    grown = np.where(agrees, state.spread, grown)
+    spread = np.where(verdict.rejected, grown, np.clip(remembered, 1.0, LARGEST_SPREAD))
     spoke = verdict.degrees_of_freedom > 0.0
     rejections = np.where(verdict.rejected, state.rejections + 1.0, 0.0)
     share = SHARE_MEMORY * state.rejected_share + (1.0 - SHARE_MEMORY) * verdict.rejected
     return GateState(
-        np.where(spoke, spread, state.spread),
+        np.where(spoke, spread, state.spread) if widens else np.ones_like(state.spread),
         np.where(spoke, rejections, state.rejections),
         np.where(spoke, share, state.rejected_share),
     )

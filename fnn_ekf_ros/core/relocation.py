@@ -5,8 +5,8 @@ from the published one what that reading does not say, and follows wheels and re
 it predicts the readings that the gate rejects it is confirmed; a reading that it does not predict
 starts it anew. Confirmed often and long enough, it is where the robot is.
 
-Fixes decide alone. A compass that is confirmed needs fixes that agree with it, too: they must not
-fit the candidate worse than the published filter, or a magnet would turn the robot round.
+Fixes decide alone. A compass that is confirmed needs fixes that agree with it, too: some, and they
+must not fit the candidate worse than the published filter, or a magnet would turn the robot round.
 """
 
 from typing import NamedTuple
@@ -39,9 +39,13 @@ CONFIRMATIONS = 8
 """So many readings in a row have to confirm a candidate."""
 CONFIRMATION_S = 3.0
 """And so long they have to: eight of a fast sensor are one and the same mistake [s]."""
+FEWEST_SUPPORTS = 2.0
+"""So many accepted fixes a compass needs beside it."""
 LARGEST_DISAGREEMENT = 6.0
 """By so much NIS the other readings may speak for the published filter, and no more."""
 
+LARGEST_LOSS = 10.0
+"""No pose is moved to where it would be known worse by more, in std: that is noise, not a place."""
 CLEARLY_LESS = 1.0 / 9.0
 """A candidate explains a reading if its NIS is so much smaller; noise alone seldom does that."""
 
@@ -55,8 +59,13 @@ class Candidate(NamedTuple):
         covariance: `(..., 3, 3)`.
         confirmations: `(..., 2)` how often the rejected readings of each sensor confirmed it.
         age_s: `(...)` since the reading it started with [s].
+        supports: `(...)` how many readings the gate accepted meanwhile.
         disagreement: `(...)` sum of NIS against the candidate minus that against the published
             filter, of readings that the gate accepted.
+        process_noise: `(..., 2)` Q that was in use when readings began to be rejected.
+        measurement_noise: `(..., 4)` R, likewise: what is learned from rejected readings must not
+            make them agree.
+        spread: `(..., 2)` the gate's, likewise.
     """
 
     active: BoolArray
@@ -64,7 +73,11 @@ class Candidate(NamedTuple):
     covariance: FloatArray
     confirmations: FloatArray
     age_s: FloatArray
+    supports: FloatArray
     disagreement: FloatArray
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+    spread: FloatArray
 
 
 class Published(NamedTuple):
@@ -99,8 +112,13 @@ class Relocation(NamedTuple):
     confirmed: BoolArray
 
 
-def no_candidate(mean: FloatArray, covariance: FloatArray) -> Candidate:
-    """Return the state without a candidate for filters `(..., 3)`, `(..., 3, 3)`."""
+def no_candidate(
+    mean: FloatArray,
+    covariance: FloatArray,
+    process_noise: FloatArray,
+    measurement_noise: FloatArray,
+) -> Candidate:
+    """Return the state without a candidate, for filters with their Q and R."""
     batch = mean.shape[:-1]
     return Candidate(
         active=np.zeros(batch, dtype=np.bool_),
@@ -108,7 +126,11 @@ def no_candidate(mean: FloatArray, covariance: FloatArray) -> Candidate:
         covariance=covariance,
         confirmations=np.zeros((*batch, SENSOR_COUNT)),
         age_s=np.zeros(batch),
+        supports=np.zeros(batch),
         disagreement=np.zeros(batch),
+        process_noise=process_noise,
+        measurement_noise=measurement_noise,
+        spread=np.ones((*batch, SENSOR_COUNT)),
     )
 
 
@@ -138,13 +160,15 @@ def follow(
     available, rejected = period.available, verdict.rejected
     spoke = verdict.degrees_of_freedom > 0.0
 
-    ahead, ahead_P = predict(
-        plant, candidate.mean, candidate.covariance, published.process_noise, period.control
-    )
+    active = candidate.active[..., None]
+    Q = np.where(active, candidate.process_noise, published.process_noise)
+    R = np.where(active, candidate.measurement_noise, published.measurement_noise)
+    tolerance = np.where(active, candidate.spread, remembered.spread)
+    ahead, ahead_P = predict(plant, candidate.mean, candidate.covariance, Q, period.control)
     z = carry_to_end(plant, candidate.mean[..., 2], period)
-    R_full = noise_matrix(plant, published.measurement_noise, period)
+    R_full = noise_matrix(plant, R, period)
     nis, count = nis_by_sensor(innovate(ahead, ahead_P, z, R_full, available), available)
-    agrees = candidate.active[..., None] & spoke & (nis <= limits(gate, count) * remembered.spread)
+    agrees = active & spoke & (nis <= limits(gate, count) * tolerance)
     confirmed_by = rejected & agrees
 
     used = available & rows_of(agrees)
@@ -167,16 +191,28 @@ def follow(
         covariance=np.where(starts[..., None, None], started_P, followed_P),
         confirmations=np.where(starts[..., None], 0.0, confirmations),
         age_s=np.where(starts, 0.0, candidate.age_s + plant.period_scale * NOMINAL_PERIOD_S),
+        supports=np.where(starts, 0.0, candidate.supports + np.sum(spoke & ~rejected, axis=-1)),
         disagreement=np.where(starts, 0.0, disagreement),
+        process_noise=Q,
+        measurement_noise=R,
+        spread=tolerance,
     )
     long = after.age_s > CONFIRMATION_S - 0.5 * plant.period_scale * NOMINAL_PERIOD_S
-    enough = (after.confirmations >= CONFIRMATIONS) & long[..., None]
+    known = _position_variance(after.covariance) <= LARGEST_LOSS**2 * _position_variance(
+        published.covariance
+    )
+    enough = (after.confirmations >= CONFIRMATIONS) & (long & known)[..., None]
     confirmed = enough[..., LRF_POSE] | (
         enough[..., COMPASS]
         & ~rejected[..., LRF_POSE]
+        & (after.supports >= FEWEST_SUPPORTS)
         & (after.disagreement <= LARGEST_DISAGREEMENT)
     )
     return after, Relocation(agrees, agrees & (nis < CLEARLY_LESS * verdict.nis), confirmed)
+
+
+def _position_variance(covariance: FloatArray) -> FloatArray:
+    return np.asarray(covariance[..., 0, 0] + covariance[..., 1, 1])
 
 
 def _start(

@@ -104,6 +104,10 @@ class Health:
         """Count a delay of more than a period [s]."""
         self._time.overran(seconds)
 
+    def paused(self, time_ns: int) -> None:
+        """Count a time in which nothing was heard, not even the clock [ns]."""
+        self._time.paused(time_ns)
+
     def redone(self, periods: int) -> None:
         """Count the periods that were run again for late inputs."""
         self._time.redone(periods)

@@ -171,6 +171,36 @@ class InputBuffer:
             return None
         return self._wheels[wheel].at(stamp_ns)
 
+    def counts_to_go_on_from(
+        self, stamp_ns: int, counts: Counts, measured_ns: tuple[int, int]
+    ) -> Counts:
+        """Return the counts that the period from an instant on begins with.
+
+        What the wheels did before but was not known then falls into this period. After a silence
+        longer than `history` that is motion which a fix has measured meanwhile, or a compass:
+        the way is counted only where no position was measured since the wheels fell silent, and
+        the turn where no yaw was.
+
+        Args:
+            stamp_ns: the period's begin [ns].
+            counts: what the period before ended with.
+            measured_ns: when a position and when a yaw was measured last [ns].
+        """
+        known = self.counts_at(stamp_ns)
+        heard_ns = [self._wheels[wheel].heard_ns(stamp_ns) or stamp_ns for wheel in Wheel]
+        if (
+            known == counts
+            or known.left is None
+            or known.right is None
+            or counts.left is None
+            or counts.right is None
+        ):
+            return counts
+        left, right = known.left - counts.left, known.right - counts.right
+        way = 0.0 if measured_ns[0] > min(heard_ns) else 0.5 * (left + right)
+        turn = 0.0 if measured_ns[1] > min(heard_ns) else 0.5 * (right - left)
+        return Counts(known.left - way + turn, known.right - way - turn)
+
     def period(self, begin_ns: int, end_ns: int, counts_at_begin: Counts) -> PeriodInputs:
         """Return what the time (begin, end] holds.
 

@@ -55,6 +55,8 @@ LONGEST_SILENCE_PERIODS = 1600
 minutes at 375 ms, and about a second of work."""
 LARGEST_LEAD_NS = 10**9
 """Stamps further ahead of the clock are not believed [ns]."""
+LONGEST_PAUSE_NS = 5 * 10**9
+"""A clock that nobody looks at for longer has jumped, or the machine stood still [ns]."""
 HEALTH_INTERVAL_NS = 10**9
 """Health is reported with the first period that ends in each of these intervals [ns]."""
 
@@ -130,6 +132,8 @@ class Pipeline:
 
     def advance(self, now_ns: int) -> list[Output]:
         """Let ROS time pass; return the periods that have waited for the wheels too long."""
+        if now_ns > self._now_ns + LONGEST_PAUSE_NS and self._checkpoints:
+            self._health.paused(now_ns - self._now_ns)
         if now_ns < self._now_ns - self._history_ns:
             self._health.restarted("the clock went back", self._now_ns, now_ns)
             self._restart()
@@ -305,7 +309,12 @@ class Pipeline:
         self, before: _Checkpoint, end_ns: int, model: FilterModel
     ) -> tuple[_Checkpoint, Estimate | None]:
         """Run a period; from the state before by the wheels alone if its measurements fail it."""
-        inputs = self._inputs.period(before.stamp_ns, end_ns, before.counts)
+        counts = before.counts
+        if before.watch is not None:
+            counts = self._inputs.counts_to_go_on_from(
+                before.stamp_ns, counts, before.watch.measured_ns
+            )
+        inputs = self._inputs.period(before.stamp_ns, end_ns, counts)
         try:
             return self._run_period(before, end_ns, model, inputs)
         except FAILURES as error:

@@ -8,8 +8,8 @@ class TimeHealth:
 
     def __init__(self) -> None:
         self._dropped = self._repeated = self._out_of_order = self._redone = self._restarts = 0
-        self._overruns = 0
-        self._new_trouble = ""
+        self._overruns = self._pauses = 0
+        self._new_trouble = self._new_jump = ""
 
     def dropped(self, name: str, reason: str) -> None:
         """Count an event that was refused for its stamp."""
@@ -31,7 +31,12 @@ class TimeHealth:
     def restarted(self, reason: str, from_ns: int, to_ns: int) -> None:
         """Count a restart by a jump of the clock."""
         self._restarts += 1
-        self._new_trouble = f"{reason} from {from_ns * 1e-9:.3f} s to {to_ns * 1e-9:.3f} s"
+        self._new_jump = f"{reason} from {from_ns * 1e-9:.3f} s to {to_ns * 1e-9:.3f} s"
+
+    def paused(self, time_ns: int) -> None:
+        """Count a jump of the clock ahead that is no restart yet, or a pause [ns]."""
+        self._pauses += 1
+        self._new_jump = f"the clock jumped ahead, or nothing was heard, for {time_ns * 1e-9:.1f} s"
 
     def overran(self, seconds: float) -> None:
         """Count a delay of more than a period [s]."""
@@ -46,9 +51,12 @@ class TimeHealth:
             ("out of order", str(self._out_of_order)),
             ("periods run again for late inputs", str(self._redone)),
             ("restarts", str(self._restarts)),
+            ("jumps ahead or pauses", str(self._pauses)),
             ("cycle overruns", str(self._overruns)),
         )
-        trouble, self._new_trouble = self._new_trouble, ""
+        # Late and early stamps are what a jump leaves: the jump is told first.
+        trouble = self._new_jump or self._new_trouble
+        self._new_trouble = self._new_jump = ""
         if trouble:
             return Status("time", Level.WARN, trouble, values)
         return Status("time", Level.OK, "in order", values)

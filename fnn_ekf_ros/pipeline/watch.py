@@ -56,6 +56,7 @@ class Watch(NamedTuple):
         fix_ns: when a fix was accepted last, or the filter started, later by the time that the
             robot has stood since [ns].
         yaw_ns: likewise of a yaw [ns].
+        measured_ns: when a position and when a yaw was really accepted last [ns].
         moved: the last time that the gate moved the pose; None: it has not.
         moves: how often it has.
         agreeing: how many fixes in a row were rejected and agree with each other and the wheels.
@@ -65,6 +66,7 @@ class Watch(NamedTuple):
     readings: tuple[Readings, Readings]
     fix_ns: int
     yaw_ns: int
+    measured_ns: tuple[int, int]
     moved: Move | None = None
     moves: int = 0
     agreeing: int = 0
@@ -73,7 +75,7 @@ class Watch(NamedTuple):
 def begin_watch(state: FilterState, end_ns: int) -> Watch:
     """Return the watch over a filter that starts, or whose pose was set, at an instant [ns]."""
     nobody = no_suspects(state.mean, state.covariance)
-    return Watch(nobody, (Readings(), Readings()), end_ns, end_ns)
+    return Watch(nobody, (Readings(), Readings()), end_ns, end_ns, (end_ns, end_ns))
 
 
 def stands(control: FloatArray, period_s: float) -> bool:
@@ -128,12 +130,14 @@ def _watch(
     readings = tuple(
         _with_reading(watch.readings[sensor], result, sensor) for sensor in (COMPASS, LRF_POSE)
     )
+    position, yaw = bool(accepted[Row.X]), bool(accepted[Row.COMPASS_YAW] or accepted[Row.LRF_YAW])
+    position |= bool(result.relocated)
+    fix_ns, yaw_ns = watch.measured_ns
     watch = watch._replace(
         readings=(readings[COMPASS], readings[LRF_POSE]),
-        fix_ns=end_ns if accepted[Row.X] else watch.fix_ns + stood_ns,
-        yaw_ns=end_ns
-        if accepted[Row.COMPASS_YAW] or accepted[Row.LRF_YAW]
-        else watch.yaw_ns + stood_ns,
+        fix_ns=end_ns if position else watch.fix_ns + stood_ns,
+        yaw_ns=end_ns if yaw else watch.yaw_ns + stood_ns,
+        measured_ns=(end_ns if position else fix_ns, end_ns if yaw else yaw_ns),
     )
     if result.relocated:
         expected = move(model.motion_model, before.mean, period.control).mean
@@ -141,7 +145,6 @@ def _watch(
         turn = float(wrap_angle(after.mean[2] - expected[2]))
         return watch._replace(
             suspects=no_suspects(after.mean, after.covariance),  # another place explains it all
-            fix_ns=end_ns,
             moved=Move(end_ns, way, turn),
             moves=watch.moves + 1,
             agreeing=0,

@@ -145,6 +145,11 @@ class WheelTrack:
         c0, c1 = self._beliefs[place - 1].counted(), self._beliefs[place].counted()
         return c0 + (c1 - c0) * ((stamp_ns - t0) / (t1 - t0))
 
+    def heard_ns(self, stamp_ns: int) -> int | None:
+        """Return the time of the last reading up to an instant [ns]; None before the first."""
+        place = bisect_right(self._stamps, stamp_ns)
+        return self._stamps[place - 1] if place else None
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop the readings that no instant from `stamp_ns` on needs."""
         first = bisect_right(self._stamps, stamp_ns) - 1

@@ -215,6 +215,34 @@ def test_the_second_of_two_wild_readings_that_are_apart_teaches_nothing(
     assert a[-1].measurement_noise.tobytes() == b[-1].measurement_noise.tobytes()
 
 
+@pytest.mark.parametrize("mode", ["none", "joint"])
+def test_fixes_in_millimetres_are_never_followed(
+    model: Callable[..., FilterModel], mode: str
+) -> None:
+    """For a minute: the pose is what wheels and compass say, and afterwards soon right again."""
+    truth, periods = drive(12, 340)
+    wrong = [
+        p._replace(measurement=p.measurement * np.array([1e3, 1e3, 1.0, 1.0]))
+        if 100 <= t < 260
+        else p
+        for t, p in enumerate(periods)
+    ]
+    states, results = run(model(mode), wrong)
+    assert not np.any([result.relocated for result in results[:260]])
+    errors = [np.hypot(*(states[t].mean - truth[t + 1])[:2]) for t in range(340)]
+    assert max(errors[:260]) < 3.0
+    assert max(errors[280:]) < 0.6
+
+
+def test_a_compass_without_fixes_beside_it_decides_nothing(
+    model: Callable[..., FilterModel],
+) -> None:
+    only_yaw = np.array([False, False, True, False])
+    still = [StepInput(np.zeros(2), np.zeros(4), only_yaw)] * 200
+    _, results = run(model("none"), moved(still, slice(60, None), np.array([0.0, 0.0, 2.0, 0.0])))
+    assert not np.any([result.relocated for result in results])
+
+
 def test_a_robot_turned_by_hand_is_found_by_the_compass(model: Callable[..., FilterModel]) -> None:
     """At a standstill, where fixes say nothing of it; a fix every third period."""
     still = StepInput(np.zeros(2), np.zeros(4), np.array([True, True, True, False]))

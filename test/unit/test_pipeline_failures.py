@@ -156,3 +156,69 @@ def test_without_any_measurement_the_covariance_grows(
         [state.process_noise[1] for state in late[:-1]],
         rtol=1e-9,
     )
+
+
+@pytest.mark.parametrize("adaptation", ["none", "joint"])
+@pytest.mark.parametrize("source", ["ticks", "joint_states"])
+def test_what_fixes_have_measured_while_the_wheels_were_silent_is_not_counted_again(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, adaptation: str, source: str
+) -> None:
+    """Twenty seconds: the robot drove on, fixes and compass followed it, then the wheels speak."""
+    run = simulated(21, 60.0, source)
+    silent = [
+        each
+        for each in run.arrivals
+        if not (
+            isinstance(each.event, WheelCount) and 20.0 < (each.now_ns - START_NS) * 1e-9 < 40.0
+        )
+    ]
+    pipeline = make_pipeline(encoder_source=source, adaptation=adaptation)
+    errors = [
+        np.hypot(*(output.estimate.state.mean - run.truth[output.stamp_ns])[:2])
+        for output in estimates(feed(pipeline, silent))
+        if output.stamp_ns in run.truth and output.stamp_ns > START_NS + 39 * SECOND_NS
+    ]
+    assert len(errors) > 40
+    assert max(errors) < 1.0
+
+
+def test_without_fixes_the_way_of_silent_wheels_is_counted_when_they_speak_again(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    """A compass alone: the way is not known otherwise, the turn is."""
+    run = simulated(22, 60.0, path="square")
+    before = START_NS + 18 * SECOND_NS
+    blind = [
+        each
+        for each in run.arrivals
+        if each.now_ns <= before
+        or not isinstance(each.event, PoseFix | WheelCount)
+        or (isinstance(each.event, WheelCount) and each.now_ns > before + 5 * SECOND_NS)
+    ]
+    outputs = estimates(feed(make_pipeline(adaptation="none"), blind))
+    at = {output.stamp_ns: output.estimate.state.mean for output in outputs}
+    after = before + 6 * SECOND_NS
+    moved = (at[after] - at[before])[:2]
+    true = (run.truth[after] - run.truth[before])[:2]
+    assert np.hypot(*true) > 1.0
+    assert np.hypot(*(moved - true)) < 0.5 * np.hypot(*true)
+
+
+def test_a_clock_that_jumps_ahead_is_told(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    run = simulated(23, 20.0)
+    pipeline = make_pipeline()
+    late = START_NS + 10 * SECOND_NS
+    jumped = [
+        each._replace(
+            now_ns=each.now_ns + 30 * SECOND_NS,
+            event=each.event._replace(stamp_ns=each.event.stamp_ns + 30 * SECOND_NS),
+        )
+        if each.now_ns > late
+        else each
+        for each in run.arrivals
+    ]
+    said = [s.message for s in statuses(feed(pipeline, jumped), "time") if s.level is Level.WARN]
+    assert any(words.startswith("the clock jumped ahead, or nothing was heard") for words in said)
+    assert time_values(pipeline)["restarts"] == "0"
