@@ -180,7 +180,7 @@ def test_adaptation_changes_nothing_before_it_has_learned_something(
     for i, masked in enumerate(random_periods(np.random.default_rng(65), 16)):
         period = masked._replace(available=ALL_ROWS)
         state, plain = step(adaptive, state, period)[0], step(make_model(), plain, period)[0]
-        same = bytes_of(state) == bytes_of(plain)
+        same = bytes_of(state._replace(gate=plain.gate)) == bytes_of(plain)
         # A third of 45 innovations: after the 15th the noise moves, and the 16th feels it.
         assert same == (i < 14)
         assert (state.mean.tobytes() == plain.mean.tobytes()) == (i < 15)
