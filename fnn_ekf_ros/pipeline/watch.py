@@ -56,26 +56,26 @@ class Watch(NamedTuple):
         fix_ns: when a fix was accepted last, or the filter started, later by the time that the
             robot has stood since [ns].
         yaw_ns: likewise of a yaw [ns].
-        measured_ns: when a position and when a yaw was really accepted last [ns].
         moved: the last time that the gate moved the pose; None: it has not.
         moves: how often it has.
         agreeing: how many fixes in a row were rejected and agree with each other and the wheels.
+        measured_ns: when a position and when a yaw was really accepted last [ns].
     """
 
     suspects: SuspectState
     readings: tuple[Readings, Readings]
     fix_ns: int
     yaw_ns: int
-    measured_ns: tuple[int, int]
     moved: Move | None = None
     moves: int = 0
     agreeing: int = 0
+    measured_ns: tuple[int, int] = (0, 0)
 
 
 def begin_watch(state: FilterState, end_ns: int) -> Watch:
     """Return the watch over a filter that starts, or whose pose was set, at an instant [ns]."""
     nobody = no_suspects(state.mean, state.covariance)
-    return Watch(nobody, (Readings(), Readings()), end_ns, end_ns, (end_ns, end_ns))
+    return Watch(nobody, (Readings(), Readings()), end_ns, end_ns, measured_ns=(end_ns, end_ns))
 
 
 def stands(control: FloatArray, period_s: float) -> bool:
