@@ -14,6 +14,7 @@ from fnn_ekf_ros.core.chi_square import exceeded_with
 from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.pipeline.events import Sensor
 from fnn_ekf_ros.pipeline.watch import LASTING, READINGS, Readings, Watch
+from fnn_ekf_ros.pipeline.wheel_sizes import Sizes, seen_sizes
 
 MANY_REJECTIONS = 3
 """So many of the last `READINGS` readings rejected are more than wild ones now and then."""
@@ -22,7 +23,7 @@ BAND_CHANCE = 1e-3
 SUSPECTED_LEAD = 12.0
 """From this lead on something is wrong [nats]: a right sensor gets there once in hours."""
 CLEAR_LEAD = 6.0
-"""By so much the first suspect has to lead the second to be named [nats]."""
+"""By so much the first suspect has to lead the second to be named, for `LEAD_LASTS_NS` [nats]."""
 CLEARED_LEAD = 3.0
 """A suspect with less has nothing to do with another one's symptoms [nats]; right sensors seldom
 have more."""
@@ -69,11 +70,13 @@ class Blame(NamedTuple):
         culprit: the sensor that does not fit the others; None: none, or not clear which.
         suspects: all that may be to blame; several where it is not clear yet, or none.
         leads: of `SUSPECTS` [nats].
+        sizes: of the wheels, if these are what does not fit.
     """
 
     culprit: Sensor | None
     suspects: tuple[Sensor, ...]
     leads: tuple[float, ...]
+    sizes: Sizes | None = None
 
 
 NOBODY = Blame(None, (), (0.0,) * len(SUSPECTS))
@@ -103,27 +106,46 @@ def _mean_and_band(readings: Readings, which: slice) -> tuple[float, tuple[float
     return sum(readings.nis[which]) / rows, (low / rows, high / rows)
 
 
-def blame(watch: Watch) -> Blame:
-    """Return who does not fit the others, by the leads and by the symptoms."""
+def blame(watch: Watch, wheel_separation: float) -> Blame:
+    """Return who does not fit the others, by the leads, the wheels' sizes and the symptoms.
+
+    Args:
+        watch: what is remembered of the last periods.
+        wheel_separation: distance between the wheels [m].
+    """
     leads = tuple(float(lead) for lead in watch.suspects.lead)
     by_lead = sorted(zip(leads, map(Sensor, SUSPECTS), strict=True), reverse=True)
-    first, second = by_lead[0], by_lead[1]
+    first = by_lead[0]
     if first[0] >= SUSPECTED_LEAD:
         if first[1] is Sensor.ENCODERS and watch.agreeing >= AGREEING:
             return Blame(None, (Sensor.ENCODERS, Sensor.LRF_POSE), leads)
-        if first[0] - second[0] >= CLEAR_LEAD:
+        if all(_leader(each) is first[1] for each in (leads, *(old.leads for old in watch.leads))):
             return Blame(first[1], (first[1],), leads)
-        unclear = tuple(sensor for lead, sensor in by_lead if first[0] - lead < CLEAR_LEAD)
+        close = tuple(sensor for lead, sensor in by_lead if first[0] - lead < CLEAR_LEAD)
+        unclear = close if len(close) > 1 else (first[1], by_lead[1][1])
         return Blame(None, unclear, leads)
+    others = tuple(s for lead, s in by_lead if lead >= CLEARED_LEAD)
+    if set(others) <= {Sensor.ENCODERS}:
+        sizes = seen_sizes(watch.steps, wheel_separation)
+        if sizes is not None and sizes.wrong:
+            return Blame(Sensor.ENCODERS, (Sensor.ENCODERS,), leads, sizes)
     wild = tuple(
         sensor
         for sensor, readings in zip((Sensor.COMPASS, Sensor.LRF_POSE), watch.readings, strict=True)
         if symptoms_of(readings).wild
     )
-    others = tuple(s for lead, s in by_lead if lead >= CLEARED_LEAD and s not in wild)
+    others = tuple(sensor for sensor in others if sensor not in wild)
     if len(wild) == 1 and not others:
         return Blame(wild[0], wild, leads)
     return Blame(None, (*wild, *others) if wild else (), leads)
+
+
+def _leader(leads: tuple[float, ...]) -> Sensor | None:
+    """Return who is suspected by a clear lead, if anybody."""
+    first, second = sorted(leads, reverse=True)[:2]
+    if first < SUSPECTED_LEAD or first - second < CLEAR_LEAD:
+        return None
+    return Sensor(SUSPECTS[leads.index(first)])
 
 
 @cache

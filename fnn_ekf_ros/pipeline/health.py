@@ -35,6 +35,7 @@ from fnn_ekf_ros.pipeline.measuring_health import OTHERS, measuring_status
 from fnn_ekf_ros.pipeline.start import Waiting
 from fnn_ekf_ros.pipeline.time_health import TimeHealth
 from fnn_ekf_ros.pipeline.watch import Readings, Watch, stands
+from fnn_ekf_ros.pipeline.wheel_sizes import in_words
 
 EXPLAINED_NS = 10 * 10**9
 """What a sensor did that was seen to fail explains what does not fit for so long [ns]."""
@@ -167,7 +168,8 @@ class Health:
         frozen = {sensor: each.accusation() for sensor, each in self._frozen.items()}
         found = self._blame(now_ns, encoders, frozen, watch)
         if encoders.level is Level.OK and found.culprit is Sensor.ENCODERS:
-            message = f"disagree with {OTHERS[Sensor.ENCODERS]}: the wheels slip, or worse"
+            what = "the wheels slip, or worse" if found.sizes is None else in_words(found.sizes)
+            message = f"disagree with {OTHERS[Sensor.ENCODERS]}: {what}"
             encoders = encoders._replace(level=Level.WARN, message=message)
         readings = (Readings(), Readings()) if watch is None else watch.readings
         measuring = (
@@ -213,7 +215,7 @@ class Health:
         if encoders.level is not Level.OK:
             self._explained_by[Sensor.ENCODERS] = now_ns
         self._explained_by |= {sensor: now_ns for sensor, words in frozen.items() if words}
-        found = blame(watch)
+        found = blame(watch, self._parameters.wheel_separation)
         explained = {
             sensor
             for sensor, last_ns in self._explained_by.items()

@@ -21,16 +21,20 @@ from fnn_ekf_ros.core.filter import (
 from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, rows_of
 from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.motion import move
-from fnn_ekf_ros.core.suspects import SuspectState, no_suspects, suspect
+from fnn_ekf_ros.core.suspects import SUSPECTS, SuspectState, no_suspects, suspect
 from fnn_ekf_ros.pipeline.events import Move
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
 from fnn_ekf_ros.pipeline.period import FAILURES
 from fnn_ekf_ros.pipeline.start import Waiting
+from fnn_ekf_ros.pipeline.wheel_sizes import Step, recent
 
 READINGS = 20
 """So many readings of a sensor are looked back at."""
 LASTING = 10
 """And at as many that end so many readings earlier: what lasts is in both."""
+LEAD_LASTS_NS = 1_500_000_000
+"""So long a suspect's lead has to last [ns]: fixes and compass may need some periods to tell a
+wheel that slips from a wild reading."""
 
 
 class Readings(NamedTuple):
@@ -47,6 +51,18 @@ class Readings(NamedTuple):
     rejected: tuple[bool, ...] = ()
 
 
+class Leads(NamedTuple):
+    """How the suspects were at the end of a period.
+
+    Attributes:
+        stamp_ns: its end [ns].
+        leads: of `SUSPECTS` [nats].
+    """
+
+    stamp_ns: int
+    leads: tuple[float, ...]
+
+
 class Watch(NamedTuple):
     """What is remembered.
 
@@ -60,6 +76,8 @@ class Watch(NamedTuple):
         moves: how often it has.
         agreeing: how many fixes in a row were rejected and agree with each other and the wheels.
         measured_ns: when a position and when a yaw was really accepted last [ns].
+        leads: the suspects' leads of the last `LEAD_LASTS_NS`, the newest last.
+        steps: the last periods, to judge the wheels' sizes by, the newest last.
     """
 
     suspects: SuspectState
@@ -70,12 +88,25 @@ class Watch(NamedTuple):
     moves: int = 0
     agreeing: int = 0
     measured_ns: tuple[int, int] = (0, 0)
+    leads: tuple[Leads, ...] = ()
+    steps: tuple[Step, ...] = ()
 
 
 def begin_watch(state: FilterState, end_ns: int) -> Watch:
     """Return the watch over a filter that starts, or whose pose was set, at an instant [ns]."""
     nobody = no_suspects(state.mean, state.covariance)
-    return Watch(nobody, (Readings(), Readings()), end_ns, end_ns, measured_ns=(end_ns, end_ns))
+    return Watch(
+        nobody,
+        (Readings(), Readings()),
+        end_ns,
+        end_ns,
+        leads=(_no_leads(end_ns),),
+        measured_ns=(end_ns, end_ns),
+    )
+
+
+def _no_leads(end_ns: int) -> Leads:
+    return Leads(end_ns, (0.0,) * len(SUSPECTS))
 
 
 def stands(control: FloatArray, period_s: float) -> bool:
@@ -139,8 +170,8 @@ def _watch(
         yaw_ns=end_ns if yaw else watch.yaw_ns + stood_ns,
         measured_ns=(end_ns if position else fix_ns, end_ns if yaw else yaw_ns),
     )
+    expected = move(model.motion_model, before.mean, period.control).mean
     if result.relocated:
-        expected = move(model.motion_model, before.mean, period.control).mean
         way = float(np.hypot(*(after.mean - expected)[:2]))
         turn = float(wrap_angle(after.mean[2] - expected[2]))
         return watch._replace(
@@ -148,10 +179,44 @@ def _watch(
             moved=Move(end_ns, way, turn),
             moves=watch.moves + 1,
             agreeing=0,
+            leads=(_no_leads(end_ns),),
+            steps=(),
         )
+    suspects = _suspects(model, watch.suspects, before, after, period)
+    leads = Leads(end_ns, tuple(float(lead) for lead in suspects.lead))
+    recently = tuple(old for old in watch.leads if end_ns - old.stamp_ns <= LEAD_LASTS_NS)
+    step = _step(model, before, after, period, expected, end_ns)
     return watch._replace(
-        suspects=_suspects(model, watch.suspects, before, after, period),
+        suspects=suspects,
         agreeing=int(after.candidate.confirmations[LRF_POSE]) if after.candidate.active else 0,
+        leads=(*recently, leads),
+        steps=recent(watch.steps, step),
+    )
+
+
+def _step(
+    model: FilterModel,
+    before: FilterState,
+    after: FilterState,
+    period: StepInput,
+    expected: FloatArray,
+    end_ns: int,
+) -> Step:
+    """Return by how much measurements moved the filter from where the wheels `expected` it."""
+    usual = lasting_noise(model, before.process_noise, before.measurement_noise, before.joint)
+    noise = usual[0] * model.plant.period_scale
+    heading = float(after.mean[2])
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    return Step(
+        stamp_ns=end_ns,
+        way=float(period.control[0]),
+        turn=float(period.control[1]),
+        way_correction=float(ahead @ (after.mean - expected)[:2]),
+        turn_correction=float(wrap_angle(after.mean[2] - expected[2])),
+        way_noise=float(noise[0]),
+        turn_noise=float(noise[1]),
+        position_variance=float(np.max(np.diagonal(after.covariance)[:2])),
+        yaw_variance=float(after.covariance[2, 2]),
     )
 
 

@@ -168,9 +168,19 @@ class Naming(NamedTuple):
     others: dict[str, str]
 
     @property
+    def named(self) -> bool:
+        """Whether it was named in time."""
+        return bool(np.isfinite(self.named_s))
+
+    @property
+    def named_first(self) -> bool:
+        """Whether it was named in time, and nobody else before it."""
+        return self.named and self.first
+
+    @property
     def right(self) -> bool:
         """Whether it was named in time, and nobody else."""
-        return self.alone and bool(np.isfinite(self.named_s))
+        return self.named and self.alone
 
 
 class Quiet(NamedTuple):

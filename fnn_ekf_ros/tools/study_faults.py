@@ -44,10 +44,11 @@ SUMMARY = "faults of one sensor at a time: whom diagnostics name, and how soon"
 LIMITS = {"runs": (1, 1000), "quiet_runs": (0, 1000), "seed": (0, 2**31 - 1)}
 LONGEST_S = 3600.0
 HOW_TO_READ = f"""\
-A fault begins 40 to 60 s after the start; runs take turns on the paths {", ".join(PATHS)}. Right:
-within {NAMED_WITHIN_S:g} s the sensor's own status was WARN or worse, and no other sensor's was.
-First: it was before any other's. Quiet runs have no fault: the share of reports, from when the
-filter runs, in which any status is WARN or worse; q, k as in the other studies.
+A fault begins 40 to 60 s after the start; runs take turns on the paths {", ".join(PATHS)}. Named:
+within {NAMED_WITHIN_S:g} s the sensor's own status was WARN or worse, as it is where `filter` names
+it. First: no other sensor's was before it. Alone: no other sensor's was at all in that time.
+Quiet runs have no fault: the share of reports, from when the filter runs, in which any status is
+WARN or worse; q, k as in the other studies.
 """
 
 
@@ -112,8 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     write_text(out / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_text(out / "results.md", _head(made_by) + fault_tables(cases, named, quiet))
-    right = sum(naming.right for naming in named)
-    print(f"{out}: {right} of {len(named)} faults named in time, and nobody else")
+    print(f"{out}: {_shares(named)}")
     print(f"{out / 'results.md'}: the tables")
     return 0
 
@@ -132,26 +132,39 @@ def fault_tables(
                 case.name,
                 case.about,
                 case.sensor,
-                f"{sum(n.right for n in own)} of {len(own)}",
-                str(sum(n.first and math.isfinite(n.named_s) for n in own)),
+                f"{sum(n.named for n in own)} of {len(own)}",
+                str(sum(n.named_first for n in own)),
+                str(sum(n.right for n in own)),
                 f"{np.median(after):.1f}, {np.max(after):.1f}" if len(after) else "n/a",
                 ", ".join(f"{other} {count}" for other, count in others.most_common()) or "-",
             ]
         )
-    right = sum(naming.right for naming in named)
-    share = f"All: {right} of {len(named)}, {right / len(named):.1%}.\n"
     parts = [
         "\n## Faults\n",
         table(
-            ["fault", "what it is", "sensor", "right", "first", "after [s]: median, longest",
-             "others that were named"],
+            ["fault", "what it is", "sensor", "named", "first", "alone",
+             "after [s]: median, longest", "others that were named"],
             lines,
         ),
-        share,
+        f"All: {_shares(named)}.\n",
     ]  # fmt: skip
     if quiet:
         parts += ["## Quiet runs\n", _quiet_table(quiet)]
     return "\n".join(parts)
+
+
+def _shares(named: Sequence[Naming]) -> str:
+    """Return how many faults were named, by each of the three measures."""
+    count = len(named)
+    said = (
+        f"{words} {right} ({right / count:.1%})"
+        for words, right in (
+            ("named in time", sum(naming.named for naming in named)),
+            ("before any other sensor", sum(naming.named_first for naming in named)),
+            ("and no other at all", sum(naming.right for naming in named)),
+        )
+    )
+    return f"of {count} faults {', '.join(said)}"
 
 
 def _quiet_table(quiet: Sequence[tuple[Cell, Quiet]]) -> str:
@@ -219,8 +232,9 @@ def _naming_row(naming: Naming) -> dict[str, Any]:
         "path": naming.path,
         "onset_s": naming.onset_s,
         "named_s": plain(naming.named_s),
-        "right": naming.right,
-        "first": naming.first,
+        "named": naming.named,
+        "first": naming.named_first,
+        "alone": naming.right,
         "others": naming.others,
     }
 

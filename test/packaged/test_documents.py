@@ -24,6 +24,7 @@ from fnn_ekf_ros.pipeline import (
     pipeline,
     stuck_wheel,
     watch,
+    wheel_sizes,
     wheels,
 )
 from fnn_ekf_ros.study import fault_naming
@@ -146,11 +147,14 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
         f"stamped more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead",
         f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods",
         f"publishes `odom_frame` to `base_frame` for {stale}",
+        f"no other was within {blame.CLEAR_LEAD:g} for {watch.LEAD_LASTS_NS / NS:g} s",
+        f"corrections of the last {wheel_sizes.LOOK_BACK_S:g} s",
+        f"off by {100 * wheel_sizes.SMALLEST_PART:g} % or more, which has to be clear by "
+        f"{wheel_sizes.SIGMAS:g} standard deviations, and by {wheel_sizes.PART_SIGMAS:g} in each",
         f"for {suspects.SUSPICION**0.5:g} times larger (std)",
         f"no period adds more than {suspects.LARGEST_GAIN:g} nats",
         f"none grows beyond {suspects.LONGEST_LEAD:g}",
         f"From {blame.SUSPECTED_LEAD:g} nats on",
-        f"if no other is within {blame.CLEAR_LEAD:g}",
         f"Below {blame.SUSPECTED_LEAD:g}, rejections",
         f"every other suspicion is under {blame.CLEARED_LEAD:g}",
         f"After {blame.AGREEING} rejected fixes",

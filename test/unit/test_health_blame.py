@@ -15,20 +15,24 @@ from fnn_ekf_ros.pipeline.blame import (
     SUSPECTED_LEAD,
     Blame,
     Scatter,
-    blame,
     symptoms_of,
 )
+from fnn_ekf_ros.pipeline.blame import blame as blame_of
 from fnn_ekf_ros.pipeline.events import CompassYaw, Level, PoseFix, Sensor, Status
 from fnn_ekf_ros.pipeline.frozen import FROZEN_READINGS, FrozenSensor
 from fnn_ekf_ros.pipeline.inputs import Counts
 from fnn_ekf_ros.pipeline.measuring_health import measuring_status
-from fnn_ekf_ros.pipeline.watch import LASTING, READINGS, Readings, Watch
+from fnn_ekf_ros.pipeline.watch import LASTING, READINGS, Leads, Readings, Watch
 
 ALL = READINGS + LASTING
 RIGHT = Readings((1.0,) * ALL, (1,) * ALL, (False,) * READINGS)
 WIDE = RIGHT._replace(nis=(2.5,) * ALL)
 NARROW = RIGHT._replace(nis=(0.2,) * ALL)
 FINE = Status("", Level.OK, "received", ())
+
+
+def blame(seen: Watch) -> Blame:
+    return blame_of(seen, 0.6)
 
 
 def rejecting(count: int) -> Readings:
@@ -55,6 +59,24 @@ def test_a_clear_lead_names_the_sensor(index: int) -> None:
     leads[index - 1] = SUSPECTED_LEAD - CLEAR_LEAD
     both_wild = watch((leads[0], leads[1], leads[2]), rejecting(9), rejecting(9))
     assert blame(both_wild).culprit == SUSPECTS[index]
+
+
+@pytest.mark.parametrize(
+    "earlier",
+    [
+        (SUSPECTED_LEAD - 0.1, 0.0, 0.0),
+        (SUSPECTED_LEAD + 9.0, 0.0, SUSPECTED_LEAD + 9.0 - CLEAR_LEAD + 0.1),
+        (0.0, 0.0, SUSPECTED_LEAD),
+    ],
+)
+def test_a_clear_lead_has_to_last(earlier: tuple[float, float, float]) -> None:
+    now = (SUSPECTED_LEAD, 0.0, 0.0)
+    recent = watch(now)._replace(leads=(Leads(1, earlier), Leads(2, now), Leads(3, now)))
+    found = blame(recent)
+    assert found.culprit is None
+    assert found.suspects[0] is Sensor.ENCODERS
+    assert len(found.suspects) == 2
+    assert blame(recent._replace(leads=recent.leads[1:])).culprit is Sensor.ENCODERS
 
 
 def test_a_small_lead_names_nobody() -> None:

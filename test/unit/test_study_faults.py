@@ -74,20 +74,25 @@ def test_the_command_writes_tables_and_numbers(tmp_path: Path, succeed: Callable
         "study", "faults", "--out", out, "--runs", 1, "--faults", ",".join(SUBSET),
         "--quiet-runs", 1, "--quiet-seconds", 10,
     )  # fmt: skip
-    assert said == (
-        f"{out}: 2 of 2 faults named in time, and nobody else\n{out / 'results.md'}: the tables\n"
+    shares = (
+        "of 2 faults named in time 2 (100.0%), before any other sensor 2 (100.0%), "
+        "and no other at all 2 (100.0%)"
     )
+    assert said == f"{out}: {shares}\n{out / 'results.md'}: the tables\n"
     found = json.loads((out / "results.json").read_text())
     assert found["faults"] == list(SUBSET)
     assert [row["fault"] for row in found["results"]] == list(SUBSET)
-    assert all(row["right"] and 0.0 <= row["named_s"] < 30.0 for row in found["results"])
+    assert all(
+        row["alone"] and row["first"] and row["named"] and 0.0 <= row["named_s"] < 30.0
+        for row in found["results"]
+    )
     assert len({row["onset_s"] for row in found["results"]}) == 1
     assert len(found["quiet"]) == 5 * 2
     assert all(5 <= row["reports"] <= 10 for row in found["quiet"])
     tables = (out / "results.md").read_text()
     assert "`study faults --runs 1 --quiet-runs 1 --quiet-seconds 10 --seed 1 --faults" in tables
-    assert "| compass_bias | off by 1.5 rad | compass | 1 of 1 | 1 |" in tables
-    assert "All: 2 of 2, 100.0%." in tables
+    assert "| compass_bias | off by 1.5 rad | compass | 1 of 1 | 1 | 1 |" in tables
+    assert f"All: {shares}." in tables
     assert tables.count("| right start |") == 2
     assert tables.count("| q = ") == 8
 
