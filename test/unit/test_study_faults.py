@@ -10,7 +10,7 @@ import pytest
 from fnn_ekf_ros.membership.files import network_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.events import Sensor
+from fnn_ekf_ros.pipeline.events import Level, Sensor
 from fnn_ekf_ros.study.fault_naming import (
     FAULTS,
     NAMED_WITHIN_S,
@@ -18,6 +18,7 @@ from fnn_ekf_ros.study.fault_naming import (
     Setting,
     name_fault,
     quiet_run,
+    reports,
     told_noise,
 )
 from fnn_ekf_ros.study.starts import RIGHT, Cell
@@ -51,6 +52,19 @@ def test_a_failing_sensor_is_named_and_nobody_else(name: str, seed: int) -> None
     assert naming.right, naming
     assert naming.first
     assert 0.0 <= naming.named_s < NAMED_WITHIN_S / 3.0
+
+
+def test_a_flat_tyre_is_told_by_its_wheel_and_its_size() -> None:
+    (case,) = (case for case in FAULTS if case.name == "flat_tyre")
+    said = {
+        status.message
+        for report in reports(setting(2), 80.0, case.faults(40.0))
+        if report.time_s >= 40.0
+        for status in report.statuses
+        if status.name == Sensor.ENCODERS and status.level is Level.WARN
+    }
+    sizes = [message for message in said if "the left wheel goes" in message]
+    assert any("% less than it counts" in message for message in sizes), said
 
 
 def test_a_robot_without_faults_is_well() -> None:
