@@ -297,7 +297,7 @@ def step(
             state.gate,
             verdict,
             relocation.agrees,
-            widens=not model.adaptation.learns_measurement_noise,
+            learns=model.adaptation.learns_measurement_noise,
         ),
         candidate,
     )

@@ -3,11 +3,11 @@
 A reading is rejected if its normalised innovation squared NIS = r' S^-1 r exceeds what a right
 one exceeds with a small chance, times the sensor's *spread*. Nothing can be locked out:
 
-    learning    where R is learned, readings that are rejected and agree with nothing teach that it
-                was too small, and the spread is 1
-    spread      where it is not, the gate widens instead,
-                s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
+    spread      s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
                 s <- 1.65 s with one that is rejected and that agrees with none before it
+    learning    where R is learned, readings that are rejected and agree with nothing teach, too,
+                that it was too small; the spread stays smaller there, or together they would
+                take a fix in millimetres for one in metres
     relocation  readings that are rejected but agree with each other are another place
                 (`relocation`): the pose moves there after some seconds
 
@@ -37,6 +37,8 @@ SPREAD_GROWTH = 1.65
 
 LARGEST_SPREAD = 1e5
 """Noise is never told too small by more than 300 in std: a fix in millimetres stays rejected."""
+LARGEST_SPREAD_LEARNING = 100.0
+"""Where R is learned; 10 in std are bridged at once, what is more is learned."""
 SHARE_MEMORY = 0.9
 """Part of the share of rejected readings that is remembered from one to the next."""
 NOISY_SHARE = 0.095
@@ -147,7 +149,7 @@ def rows_of(sensors: BoolArray) -> BoolArray:
 
 
 def after_verdict(
-    state: GateState, verdict: Verdict, agrees: BoolArray, *, widens: bool
+    state: GateState, verdict: Verdict, agrees: BoolArray, *, learns: bool
 ) -> GateState:
     """Return the state after a period.
 
@@ -155,18 +157,19 @@ def after_verdict(
         state: before it.
         verdict: what was said in it.
         agrees: `(..., 2)` whether a reading agrees with those that were rejected before it.
-        widens: whether the spread follows the readings; otherwise it goes back to 1.
+        learns: whether R is learned from what is rejected.
     """
     n = np.maximum(verdict.degrees_of_freedom, 1.0)
     remembered = SPREAD_MEMORY * state.spread + (1.0 - SPREAD_MEMORY) * verdict.nis / n
-    grown = np.minimum(SPREAD_GROWTH * state.spread, LARGEST_SPREAD)
+    largest = LARGEST_SPREAD_LEARNING if learns else LARGEST_SPREAD
+    grown = np.minimum(SPREAD_GROWTH * state.spread, largest)
     grown = np.where(agrees, state.spread, grown)
-    spread = np.where(verdict.rejected, grown, np.clip(remembered, 1.0, LARGEST_SPREAD))
+    spread = np.where(verdict.rejected, grown, np.clip(remembered, 1.0, largest))
     spoke = verdict.degrees_of_freedom > 0.0
     rejections = np.where(verdict.rejected, state.rejections + 1.0, 0.0)
     share = SHARE_MEMORY * state.rejected_share + (1.0 - SHARE_MEMORY) * verdict.rejected
     return GateState(
-        np.where(spoke, spread, state.spread) if widens else np.ones_like(state.spread),
+        np.where(spoke, spread, state.spread),
         np.where(spoke, rejections, state.rejections),
         np.where(spoke, share, state.rejected_share),
     )
