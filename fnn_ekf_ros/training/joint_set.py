@@ -202,5 +202,7 @@ def _joint_filter(network: FuzzyNetwork) -> FilterModel:
         wheel_separation=WHEEL_SEPARATION,
         encoder_counts_per_revolution=ENCODER_COUNTS_PER_REVOLUTION,
         adaptation="joint",
+        compass_gate=0.0,  # every reading teaches: none is wild here, however wrong the start
+        lrf_pose_gate=0.0,
     )
     return filter_model(robot, network)

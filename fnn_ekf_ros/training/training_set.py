@@ -178,5 +178,7 @@ def _holding_filter(window_length: int) -> FilterModel:
         encoder_counts_per_revolution=ENCODER_COUNTS_PER_REVOLUTION,
         adaptation="none",
         innovation_window=window_length,
+        compass_gate=0.0,  # every reading teaches: none is wild here, however wrong the start
+        lrf_pose_gate=0.0,
     )
     return filter_model(robot, read_membership(robot.membership_file))
