@@ -18,7 +18,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.motion import MotionModel, displacement
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
@@ -124,7 +124,7 @@ class Soak:
 
     def __init__(self, seed: int) -> None:
         self._robot = Robot(seed)
-        self._pipeline = Pipeline(PARAMETERS, network_for(PARAMETERS))
+        self._pipeline = Pipeline(PARAMETERS, networks_for(PARAMETERS))
         self._previous_ns: int | None = None
         self._scored, self._sum_of_squares = 0, 0.0  # no list: memory is what is looked at
         self._levels: Counter[str] = Counter()

@@ -1,12 +1,13 @@
 """Adapting the noise covariances by the fuzzy neural network (Nguyen et al., eqs. 13-16).
 
     D = S - C_hat                     mismatch, row by row                      (14)
-    R <- R + dR(D)                    mode `r`                                  (15)
-    Q <- Q + dQ(D)                    mode `q`                                  (16)
+    R <- R + dR(D)                    modes `r` and `rq`                        (15)
+    Q <- Q + dQ(D)                    modes `q` and `rq`                        (16)
         D_forward = D_x cos^2(theta) + D_y sin^2(theta),  D_heading = D_theta
 
 S is the filter's own H (A P A' + W Q W') H' + R, which is what the paper's (16) becomes when its
-A P A' + Q (3x3 plus 2x2) is read as it must be.
+A P A' + Q (3x3 plus 2x2) is read as it must be. Mode `rq` is the paper's filter: dR and dQ come
+from the same D in the same step, each through a network of its own.
 """
 
 from collections.abc import Sequence
@@ -30,17 +31,28 @@ SMALLEST_WINDOW_SHARE = 1.0 / 3.0
 """Part of the window a row must have filled before it teaches: a third of 45 innovations shows a
 start that is wrong by 25 well enough, and waiting for all of them costs twice as much."""
 
-POSITION_ROWS = slice(Row.X, Row.COMPASS_YAW)
-YAW_ROWS = slice(Row.COMPASS_YAW, MEASUREMENT_SIZE)
+RULE_COUNT = 3
+"""Rules of the network: increase, maintain, decrease."""
 
 
 class AdaptationMode(StrEnum):
-    """Which noise covariance the network moves."""
+    """Which noise covariances the network moves."""
 
     NONE = "none"
     R = "r"
     Q = "q"
+    RQ = "rq"
     JOINT = "joint"
+
+    @property
+    def adapts_measurement_noise(self) -> bool:
+        """Whether R moves."""
+        return self in (AdaptationMode.R, AdaptationMode.RQ, AdaptationMode.JOINT)
+
+    @property
+    def adapts_process_noise(self) -> bool:
+        """Whether Q moves."""
+        return self in (AdaptationMode.Q, AdaptationMode.RQ, AdaptationMode.JOINT)
 
 
 class InferenceKind(StrEnum):
@@ -67,15 +79,34 @@ class FuzzyNetwork:
     yaw_unit: float
     change_limit: float
 
+    @property
+    def row_units(self) -> FloatArray:
+        """Units of the rows of R, `(4,)` (m^2, m^2, rad^2, rad^2)."""
+        return np.array([self.position_unit] * 2 + [self.yaw_unit] * 2)
+
+
+class Networks(NamedTuple):
+    """The networks of all modes; each of the paper's serves all axes of its covariance.
+
+    Attributes:
+        measurement: from D to dR, modes `r` and `rq`.
+        process: from D to dQ, modes `q` and `rq`.
+        joint: from what the evidence asks for to the change of a log variance, mode `joint`.
+    """
+
+    measurement: FuzzyNetwork
+    process: FuzzyNetwork
+    joint: FuzzyNetwork
+
 
 @dataclass(frozen=True, slots=True)
 class Adaptation:
     """How the noise is adapted.
 
     Attributes:
-        mode: which covariance; `joint` is run by `joint.adapt_jointly`.
-        kind: inference of the network.
-        network: membership functions; the paper's two modes use one set for all axes.
+        mode: which covariances; `joint` is run by `joint.adapt_jointly`.
+        kind: inference of the paper's networks.
+        networks: membership functions.
         window_length: N of eq. 13; a row teaches once `SMALLEST_WINDOW_SHARE` of it is filled.
         bounds: limits of the adapted variances.
         learning: False holds the noise where it is.
@@ -83,15 +114,15 @@ class Adaptation:
 
     mode: AdaptationMode
     kind: InferenceKind
-    network: FuzzyNetwork
+    networks: Networks
     window_length: int
     bounds: NoiseBounds
     learning: bool = True
 
     @property
     def learns_measurement_noise(self) -> bool:
-        """Whether R moves."""
-        return self.learning and self.mode in (AdaptationMode.R, AdaptationMode.JOINT)
+        """Whether R moves now."""
+        return self.learning and self.mode.adapts_measurement_noise
 
 
 class Adapted(NamedTuple):
@@ -101,14 +132,16 @@ class Adapted(NamedTuple):
         process_noise: `(..., 2)` diagonal of Q for the nominal period (m^2, rad^2).
         measurement_noise: `(..., 4)` diagonal of R, rows as in `Row`.
         mismatch: `(..., 4)` D of the rows (m^2, m^2, rad^2, rad^2); 0 where there is none yet.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D; mode `q` uses rows 0
-            (forward) and 2 (heading). 0 where nothing was adapted.
+        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; 0 where
+            nothing was adapted.
+        process_firing_strength: `(..., 2, 3)` the same for Q's distance and rotation.
     """
 
     process_noise: FloatArray
     measurement_noise: FloatArray
     mismatch: FloatArray
     firing_strength: FloatArray
+    process_firing_strength: FloatArray
 
 
 class Scales(NamedTuple):
@@ -136,7 +169,7 @@ def adapt(
     heading: FloatArray,
     scales: Scales = UNIT_SCALES,
 ) -> Adapted:
-    """Move Q or R one step by what the window says about S.
+    """Move Q, R or both one step by what the window says about S.
 
     Args:
         adaptation: mode, network and limits.
@@ -150,32 +183,35 @@ def adapt(
     """
     ready = available & (window.counts >= SMALLEST_WINDOW_SHARE * adaptation.window_length)
     mismatch = np.where(window.counts > 0.0, innovation_variance - mean_square(window), 0.0)
-    unchanged = Adapted(process_noise, measurement_noise, mismatch, np.zeros((*mismatch.shape, 3)))
+    adapted = Adapted(
+        process_noise,
+        measurement_noise,
+        mismatch,
+        firing_strength=np.zeros((*mismatch.shape, RULE_COUNT)),
+        process_firing_strength=np.zeros((*process_noise.shape, RULE_COUNT)),
+    )
     if not adaptation.learning:
-        return unchanged
-    if adaptation.mode is AdaptationMode.R:
-        return _adapt_measurement_noise(adaptation, unchanged, ready, scales.measurement)
-    if adaptation.mode is AdaptationMode.Q:
-        return _adapt_process_noise(adaptation, unchanged, ready, heading, scales.process)
-    return unchanged
+        return adapted
+    if adaptation.mode in (AdaptationMode.R, AdaptationMode.RQ):
+        adapted = _adapt_measurement_noise(adaptation, adapted, ready, scales.measurement)
+    if adaptation.mode in (AdaptationMode.Q, AdaptationMode.RQ):
+        adapted = _adapt_process_noise(adaptation, adapted, ready, heading, scales.process)
+    return adapted
 
 
 def _adapt_measurement_noise(
     adaptation: Adaptation, before: Adapted, ready: BoolArray, scale: FloatArray
 ) -> Adapted:
-    inference, change = _infer(adaptation, before.mismatch)
-    R = np.where(
-        ready,
-        _moved(
-            before.measurement_noise,
-            change / scale,
-            adaptation.bounds.measurement_min,
-            adaptation.bounds.measurement_max,
-        ),
+    network = adaptation.networks.measurement
+    inference, dR = _infer(adaptation.kind, network, before.mismatch, network.row_units)
+    moved = _moved(
         before.measurement_noise,
+        dR / scale,
+        adaptation.bounds.measurement_min,
+        adaptation.bounds.measurement_max,
     )
     return before._replace(
-        measurement_noise=R,
+        measurement_noise=np.where(ready, moved, before.measurement_noise),
         firing_strength=np.where(ready[..., None], inference.firing_strength, 0.0),
     )
 
@@ -187,37 +223,28 @@ def _adapt_process_noise(
     heading: FloatArray,
     scale: float,
 ) -> Adapted:
+    network = adaptation.networks.process
     D = before.mismatch
     c2 = np.cos(heading) ** 2
     forward = D[..., Row.X] * c2 + D[..., Row.Y] * (1.0 - c2)
-    forward_ready = ready[..., Row.X] & ready[..., Row.Y]
     compass_ready, lrf_ready = ready[..., Row.COMPASS_YAW], ready[..., Row.LRF_YAW]
     yaw = np.where(compass_ready, D[..., Row.COMPASS_YAW], D[..., Row.LRF_YAW])
-    rows = np.stack([forward, np.zeros_like(forward), yaw, np.zeros_like(yaw)], axis=-1)
-    row_ready = np.stack(
-        [
-            forward_ready,
-            np.zeros_like(forward_ready),
-            compass_ready | lrf_ready,
-            np.zeros_like(forward_ready),
-        ],
-        axis=-1,
+    known = np.stack([ready[..., Row.X] & ready[..., Row.Y], compass_ready | lrf_ready], axis=-1)
+    inference, dQ = _infer(
+        adaptation.kind,
+        network,
+        np.stack([forward, yaw], axis=-1),
+        np.array([network.position_unit, network.yaw_unit]),
     )
-    inference, change = _infer(adaptation, rows)
-    used = [Row.X, Row.COMPASS_YAW]
-    Q = np.where(
-        row_ready[..., used],
-        _moved(
-            before.process_noise,
-            change[..., used] / scale,
-            adaptation.bounds.process_min,
-            adaptation.bounds.process_max,
-        ),
+    moved = _moved(
         before.process_noise,
+        dQ / scale,
+        adaptation.bounds.process_min,
+        adaptation.bounds.process_max,
     )
     return before._replace(
-        process_noise=Q,
-        firing_strength=np.where(row_ready[..., None], inference.firing_strength, 0.0),
+        process_noise=np.where(known, moved, before.process_noise),
+        process_firing_strength=np.where(known[..., None], inference.firing_strength, 0.0),
     )
 
 
@@ -228,13 +255,11 @@ def _moved(
     return np.clip(moved, smallest, largest)
 
 
-def _infer(adaptation: Adaptation, mismatch: FloatArray) -> tuple[Inference, FloatArray]:
-    """Run the network on rows in SI units; returns its output and the change in SI units."""
-    network = adaptation.network
-    unit = np.empty(MEASUREMENT_SIZE)
-    unit[POSITION_ROWS] = network.position_unit
-    unit[YAW_ROWS] = network.yaw_unit
-    if adaptation.kind is InferenceKind.CENTROID:
+def _infer(
+    kind: InferenceKind, network: FuzzyNetwork, mismatch: FloatArray, unit: FloatArray
+) -> tuple[Inference, FloatArray]:
+    """Run a network on mismatches in SI units; returns its output and the change in SI units."""
+    if kind is InferenceKind.CENTROID:
         inference = infer_centroid(network.sets, mismatch / unit, network.change_limit)
     else:
         inference = infer(network.sets, mismatch / unit)

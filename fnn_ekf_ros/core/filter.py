@@ -121,8 +121,10 @@ class StepResult(NamedTuple):
         nis: `(...)` normalised innovation squared of the available rows.
         degrees_of_freedom: `(...)` how many rows that were.
         mismatch: `(..., 4)` D = S - C_hat.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D; of the four log scales in
-            mode `joint`.
+        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; in mode
+            `joint` for the four log scales.
+        process_firing_strength: `(..., 2, 3)` the same for Q's distance and rotation, modes `q`
+            and `rq`.
         joint: what joint adaptation believes; None in the other modes.
         sensor_nis: `(..., 2)` NIS of each sensor's rows, in the order of `gate`.
         sensor_degrees_of_freedom: `(..., 2)` how many rows it measured.
@@ -137,6 +139,7 @@ class StepResult(NamedTuple):
     degrees_of_freedom: FloatArray
     mismatch: FloatArray
     firing_strength: FloatArray
+    process_firing_strength: FloatArray
     joint: JointReport | None
     sensor_nis: FloatArray
     sensor_degrees_of_freedom: FloatArray
@@ -282,7 +285,14 @@ def step(
     if joint is not None:
         how = model.adaptation
         joint, report = adapt_jointly(
-            plant, how.network.sets, how.bounds, joint, period, accepted, teaches, how.learning
+            plant,
+            how.networks.joint.sets,
+            how.bounds,
+            joint,
+            period,
+            accepted,
+            teaches,
+            how.learning,
         )
         Q, R = noise_in_use(joint, how.bounds)
         alpha = report.firing_strength
@@ -309,6 +319,7 @@ def step(
         seen.degrees_of_freedom,
         adapted.mismatch,
         alpha,
+        adapted.process_firing_strength,
         report,
         verdict.nis,
         verdict.degrees_of_freedom,

@@ -6,10 +6,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
+from fnn_ekf_ros.core.adaptation import FuzzyNetwork, Networks
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.localizer import SAME_FILE, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import finite_number
 from fnn_ekf_ros.text_files import read_text, write_text
 from fnn_ekf_ros.yaml_text import load_yaml
@@ -36,27 +36,35 @@ class MembershipError(FnnEkfError):
     """A membership file that cannot be read or does not make sense."""
 
 
-def network_for(parameters: LocalizerParameters) -> FuzzyNetwork:
-    """Return the membership functions that the adaptation of a localizer uses.
+def networks_for(parameters: LocalizerParameters) -> Networks:
+    """Return the membership functions that a localizer is told to use.
 
-    The files of the other modes are read, too: a wrong name is refused in every mode.
+    Those of all modes: a wrong name is refused in every mode.
 
     Raises:
         MembershipError: no such set or file, or a broken one.
     """
-    paper = read_membership(parameters.membership_file)
+    measurement = _of_the_paper("membership_file", parameters.membership_file)
+    process = measurement
+    if parameters.process_membership_file != SAME_FILE:
+        process = _of_the_paper("process_membership_file", parameters.process_membership_file)
     joint = read_membership(parameters.joint_membership_file, "joint_membership_file")
-    if _without_unit(paper):
-        raise MembershipError(
-            f"membership_file '{parameters.membership_file}' has units of 1, as sets of mode joint "
-            "have: give it as joint_membership_file"
-        )
     if not _without_unit(joint):
         raise MembershipError(
             f"joint_membership_file '{parameters.joint_membership_file}' has units other than 1, "
-            "as sets of the modes r and q have: give it as membership_file"
+            "as sets of the modes r, q and rq have: give it as membership_file"
         )
-    return joint if parameters.adaptation == AdaptationMode.JOINT else paper
+    return Networks(measurement, process, joint)
+
+
+def _of_the_paper(parameter: str, name: str) -> FuzzyNetwork:
+    network = read_membership(name, parameter)
+    if _without_unit(network):
+        raise MembershipError(
+            f"{parameter} '{name}' has units of 1, as sets of mode joint have: give it as "
+            "joint_membership_file"
+        )
+    return network
 
 
 def _without_unit(network: FuzzyNetwork) -> bool:

@@ -64,11 +64,17 @@ NOISE_FIELDS = (
     "rejected_compass",
     "rejected_lrf_pose",
     "relocated",
+    *(
+        f"firing_{rule}_process_{axis}"
+        for axis in ("forward", "heading")
+        for rule in ("increase", "maintain", "decrease")
+    ),
 )
 """What each number of `~/noise` is; variances in m^2 and rad^2.
 
-In mode `joint` the firing strengths are those of the four log scales, in their order. Log scales
-and weights are 0 in the other modes. What is true or false is 1 or 0.
+The firing strengths by row are R's; in mode `joint` those of the four log scales, in their order;
+in mode `q`, which has none of R, Q's in the rows of x and compass yaw. Log scales and weights are
+0 in the other modes than `joint`. What is true or false is 1 or 0.
 """
 
 

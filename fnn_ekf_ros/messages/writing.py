@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.evidence import SCALES
+from fnn_ekf_ros.core.filter import StepResult
 from fnn_ekf_ros.core.joint import HYPOTHESES
 from fnn_ekf_ros.messages.names import (
     COMPASS_TYPE,
@@ -152,11 +153,12 @@ def noise(estimate: Estimate) -> Message:
             *result.innovation,
             *result.innovation_variance,
             *result.mismatch,
-            *np.ravel(result.firing_strength),
+            *np.ravel(_firing_by_row(result)),
         ]
         belief = result.joint
         data += [0.0] * _BELIEFS if belief is None else [*belief.log_scale, *belief.weights]
         data += [*result.sensor_nis, *result.rejected, result.relocated]
+        data += [*np.ravel(result.process_firing_strength)]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
     dimension = Message(
         "std_msgs/msg/MultiArrayDimension",
@@ -240,6 +242,15 @@ def planar_covariance(covariance: FloatArray) -> FloatArray:
     full = np.diag(np.full(6, UNUSED_VARIANCE))
     full[PLANAR] = covariance
     return full
+
+
+def _firing_by_row(result: StepResult) -> FloatArray:
+    """Return the firing strengths `(4, 3)` of R; where only Q moves, Q's in x and compass yaw."""
+    if np.any(result.firing_strength):
+        return result.firing_strength
+    rows = np.zeros_like(result.firing_strength)
+    rows[[Row.X, Row.COMPASS_YAW]] = result.process_firing_strength
+    return rows
 
 
 def _vector(x: float, y: float, z: float) -> Message:

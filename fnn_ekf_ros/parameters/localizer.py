@@ -17,6 +17,8 @@ GATE = 1e-6
 """One right measurement in a million is rejected: about five standard deviations."""
 NO_FRAME = "none"
 """The word for a frame that is not there."""
+SAME_FILE = "same"
+"""The word for a file that is another parameter's."""
 NOT_SET = (math.nan, math.nan, math.nan)
 
 
@@ -162,7 +164,8 @@ class LocalizerParameters(Parameters):
     # Adaptation
     adaptation: str = parameter(
         "joint",
-        "What the fuzzy neural network adapts: joint (both), r (measurement), q (process) or none.",
+        "What the fuzzy neural network adapts: joint (Q and R, by evidence), rq (Q and R, as in "
+        "the paper), r (R alone), q (Q alone) or none.",
         choices=tuple(AdaptationMode),
         at_run_time=True,
     )
@@ -175,7 +178,12 @@ class LocalizerParameters(Parameters):
     )
     membership_file: str = parameter(
         "published",
-        "Membership functions: initial or published (the paper's), trained, or a file's path.",
+        "Membership functions for R, modes r and rq: initial or published (the paper's), "
+        "trained, or a file's path.",
+    )
+    process_membership_file: str = parameter(
+        SAME_FILE,
+        "Membership functions for Q, modes q and rq: as above; same: those of membership_file.",
     )
     joint_membership_file: str = parameter(
         "joint", "Membership functions of mode joint: joint, or a file's path."

@@ -5,8 +5,8 @@ import math
 from fnn_ekf_ros.core.adaptation import (
     Adaptation,
     AdaptationMode,
-    FuzzyNetwork,
     InferenceKind,
+    Networks,
 )
 from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.filter import FilterModel
@@ -30,7 +30,7 @@ def wheel_geometry(parameters: LocalizerParameters) -> WheelGeometry:
     )
 
 
-def filter_model(parameters: LocalizerParameters, network: FuzzyNetwork) -> FilterModel:
+def filter_model(parameters: LocalizerParameters, networks: Networks) -> FilterModel:
     """Return the filter's model."""
     p = parameters
     return FilterModel(
@@ -41,7 +41,7 @@ def filter_model(parameters: LocalizerParameters, network: FuzzyNetwork) -> Filt
         adaptation=Adaptation(
             mode=AdaptationMode(p.adaptation),
             kind=InferenceKind(p.inference),
-            network=network,
+            networks=networks,
             window_length=p.innovation_window,
             bounds=NoiseBounds(
                 process_min=_process(p.process_noise_std_min),

@@ -162,13 +162,13 @@ def _at_bounds(
     if state.joint is not None:
         Q, R = calm_noise(state.joint)
     noises: list[tuple[str, str, FloatArray, tuple[float, ...], tuple[float, ...]]] = []
-    if mode in (AdaptationMode.Q, AdaptationMode.JOINT):
+    if mode.adapts_process_noise:
         low, high = p.process_noise_std_min, p.process_noise_std_max
         noises += [
             ("wheels' way", "m", Q[0], low[:1], high[:1]),
             ("wheels' turn", "rad", Q[1], low[1:], high[1:]),
         ]
-    if mode in (AdaptationMode.R, AdaptationMode.JOINT):
+    if mode.adapts_measurement_noise:
         low3, high3 = p.measurement_noise_std_min, p.measurement_noise_std_max
         noises += [
             ("fixes' x", "m", R[0], low3[:1], high3[:1]),

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import AdaptationMode, FuzzyNetwork
+from fnn_ekf_ros.core.adaptation import AdaptationMode, Networks
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.filter import (
     NOMINAL_PERIOD_S,
@@ -81,7 +81,7 @@ class Pipeline:
 
     Args:
         parameters: the localizer's parameters.
-        network: the membership functions that the adaptation uses.
+        networks: the membership functions that the adaptation uses.
         on_period: is told of every period that is run, again when late inputs have it run again.
         warm_start: what to start from instead of the parameters' noise and initial pose. The robot
             may have been moved since: `initial_pose_std` is added to the pose's uncertainty.
@@ -90,13 +90,13 @@ class Pipeline:
     def __init__(
         self,
         parameters: LocalizerParameters,
-        network: FuzzyNetwork,
+        networks: Networks,
         on_period: Callable[[Period], None] | None = None,
         warm_start: SavedState | None = None,
     ) -> None:
         self.parameters = parameters
         self._on_period = on_period
-        self._model = filter_model(parameters, network)
+        self._model = filter_model(parameters, networks)
         self._health = Health(parameters)
         self._period_ns = round(parameters.period * 1e9)
         self._timeout_ns = round(parameters.encoder_timeout * 1e9)
@@ -189,16 +189,16 @@ class Pipeline:
             self._model, adaptation=dataclasses.replace(self._model.adaptation, learning=enabled)
         )
 
-    def change(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
+    def change(self, parameters: LocalizerParameters, networks: Networks) -> None:
         """Go on with other parameters, from the period that is open; noise and pose stay.
 
         Args:
             parameters: may differ in those that can change at run time, and in no others.
-            network: the membership functions that they ask for.
+            networks: the membership functions that they ask for.
         """
         learning = self._model.adaptation.learning
         self.parameters = parameters
-        self._model = filter_model(parameters, network)
+        self._model = filter_model(parameters, networks)
         self.enable_adaptation(learning)
         self._health.changed(parameters)
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.core.adaptation import FuzzyNetwork
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.core.adaptation import Networks
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
@@ -46,19 +46,19 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     Args:
         parameters: checked.
-        network: the membership functions.
+        networks: the membership functions.
 
     Attributes:
         pipeline: the localizer proper.
     """
 
-    def __init__(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
+    def __init__(self, parameters: LocalizerParameters, networks: Networks) -> None:
         super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
         declare(self, LocalizerParameters)
         self._settings = parameters
         self._transforms = Transforms(self, parameters) if parameters.publish_tf else None
         self._memory = Memory(self, parameters)
-        self.pipeline = Pipeline(parameters, network, warm_start=self._memory.warm_start)
+        self.pipeline = Pipeline(parameters, networks, warm_start=self._memory.warm_start)
         self._pace = Pace(self, parameters.period, self.pipeline.overran)
         self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}
@@ -84,7 +84,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 copy.copy(INPUT_QOS),  # an override is written into it
                 qos_overriding_options=overridable,
             )
-        Changes(self, parameters, network_for, self._change)
+        Changes(self, parameters, networks_for, self._change)
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
         self.create_timer(parameters.period / LOOKS_PER_PERIOD, self._look_at_clock)
@@ -174,9 +174,9 @@ class LocalizerNode(Node):  # type: ignore[misc]
             else:
                 log.error(text)
 
-    def _change(self, parameters: LocalizerParameters, network: FuzzyNetwork) -> None:
+    def _change(self, parameters: LocalizerParameters, networks: Networks) -> None:
         self._settings = parameters
-        self.pipeline.change(parameters, network)
+        self.pipeline.change(parameters, networks)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.pipeline.reset()
@@ -220,5 +220,5 @@ def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
         parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
-        network = network_for(parameters)
-        return spin_until_stopped(lambda: LocalizerNode(parameters, network))
+        networks = networks_for(parameters)
+        return spin_until_stopped(lambda: LocalizerNode(parameters, networks))

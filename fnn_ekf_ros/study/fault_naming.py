@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import FuzzyNetwork
+from fnn_ekf_ros.core.adaptation import Networks
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import (
     BadCovariance,
@@ -218,17 +218,17 @@ class Setting(NamedTuple):
     Attributes:
         robot: drives a scripted path.
         localizer: has its noise, right or wrong.
-        network: membership functions.
+        networks: membership functions.
     """
 
     robot: FakeRobotParameters
     localizer: LocalizerParameters
-    network: FuzzyNetwork
+    networks: Networks
 
 
 def reports(setting: Setting, duration_s: float, faults: Sequence[Fault] = ()) -> Iterator[Report]:
     """Yield what diagnostics say about a run, from when the filter runs."""
-    pipeline = Pipeline(setting.localizer, setting.network)
+    pipeline = Pipeline(setting.localizer, setting.networks)
     for heard in listen(setting.robot, setting.localizer, START_NS, duration_s, faults):
         if isinstance(heard.events, Rejected):
             pipeline.reject(heard.events)

@@ -11,7 +11,7 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import STATE_SIZE
 from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
 from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.study.recording import Recording, Start, Track
@@ -35,15 +35,45 @@ SMALLEST_WINDOW = 2
 """A filter that adapts nothing need not carry more innovations along."""
 PLAIN: dict[str, Any] = {"adaptation": "none", "innovation_window": SMALLEST_WINDOW}
 """Parameters of an EKF that adapts nothing."""
-GATED: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("ekf_gated", "EKF with gate", PLAIN),
-    (JOINT, "FNN-EKF joint", {"adaptation": "joint"}),
-    ("r_published", "FNN-EKF R, published", {"adaptation": "r", "membership_file": "published"}),
-    ("r_trained", "FNN-EKF R, trained", {"adaptation": "r", "membership_file": "trained"}),
-    ("q_published", "FNN-EKF Q, published", {"adaptation": "q", "membership_file": "published"}),
-    ("q_trained", "FNN-EKF Q, trained", {"adaptation": "q", "membership_file": "trained"}),
+NO_GATE: dict[str, Any] = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
+"""Parameters of a filter that takes every reading, as the paper's does."""
+SET_BY_NAMES = frozenset({"adaptation", "membership_file", "process_membership_file"})
+"""Parameters that the filters' names decide."""
+PAPER, CENTROID = "rq_published", "rq_centroid"
+
+
+class LocalizerFilter(NamedTuple):
+    """A filter that the localizer can be configured to be.
+
+    Attributes:
+        name: what `--filters` calls it.
+        label: what tables and figures call it.
+        changes: its parameters that differ from the study's.
+    """
+
+    name: str
+    label: str
+    changes: dict[str, Any]
+
+
+def _of_the_paper(mode: str, sets: str) -> LocalizerFilter:
+    label = f"FNN-EKF {' and '.join(mode.upper())}, {sets}"
+    changes = {"adaptation": mode, "membership_file": sets, "process_membership_file": sets}
+    return LocalizerFilter(f"{mode}_{sets}", label, changes | NO_GATE)
+
+
+LOCALIZER_FILTERS = (
+    LocalizerFilter(EKF, "EKF", PLAIN | NO_GATE),
+    LocalizerFilter("ekf_gated", "EKF with gate", PLAIN),
+    LocalizerFilter(JOINT, "FNN-EKF joint", {"adaptation": "joint"}),
+    *(_of_the_paper(mode, sets) for mode in ("rq", "r", "q") for sets in ("published", "trained")),
+    LocalizerFilter(
+        CENTROID,
+        "fuzzy EKF R and Q, centroid",
+        {"adaptation": "rq", "membership_file": "published", "inference": "centroid"} | NO_GATE,
+    ),
 )
-"""The filters of the localizer as it is shipped, with its gate: name, label, parameters."""
+"""The localizer's own filters; joint and ekf_gated have its gate, the paper's have none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +109,9 @@ def localizer_models(parameters: LocalizerParameters) -> dict[str, LocalizerMode
     Args:
         parameters: of every filter, but for what its name says.
     """
-    fixed = _model(parameters, **PLAIN, compass_gate=0.0, lrf_pose_gate=0.0)
-    return {EKF: LocalizerModel("EKF", fixed)} | {
-        name: LocalizerModel(label, _model(parameters, **changes)) for name, label, changes in GATED
+    return {
+        name: LocalizerModel(label, _model(parameters, **changes))
+        for name, label, changes in LOCALIZER_FILTERS
     }
 
 
@@ -173,7 +203,7 @@ def empty_track(steps: int, start: Start) -> Track:
 
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
     changed = dataclasses.replace(parameters, **changes)
-    return filter_model(changed, network_for(changed))
+    return filter_model(changed, networks_for(changed))
 
 
 def _blind(recording: Recording) -> Recording:

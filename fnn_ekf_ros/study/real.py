@@ -20,7 +20,7 @@ import numpy as np
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.filter import FilterModel, FilterState, start_filter
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
@@ -110,7 +110,7 @@ def recording_pipeline(parameters: LocalizerParameters) -> tuple[Pipeline, Perio
     """Return the localizer's pipeline, adapting nothing, and what keeps its periods."""
     fixed = dataclasses.replace(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
     recorder = PeriodRecorder()
-    return Pipeline(fixed, network_for(fixed), recorder), recorder
+    return Pipeline(fixed, networks_for(fixed), recorder), recorder
 
 
 def with_noise_of(parameters: LocalizerParameters, cell: Cell) -> LocalizerParameters:
@@ -143,10 +143,10 @@ def batch_start(
     Raises:
         ParameterError: the noise of a cell would leave its bounds.
     """
-    network = network_for(parameters)
+    networks = networks_for(parameters)
     taken, states, models = 0, [], []
     for cell in cells:
-        model = filter_model(with_noise_of(parameters, cell), network)
+        model = filter_model(with_noise_of(parameters, cell), networks)
         taken, state = _first_state(model, cell, periods)
         states.append(state)
         models.append(model)

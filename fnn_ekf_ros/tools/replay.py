@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import STORAGES, BagError, BagReader, BagWriter, Record, Topic
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
-    network = network_for(parameters)
+    networks = networks_for(parameters)
     names = TopicNames(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         with BagWriter(arguments.out, arguments.storage, notes) as out:
             copied = _announce(out, [t for t in bag.topics.values() if t.name not in replaced])
-            pipeline = Pipeline(parameters, network, warm_start=_warm_start(parameters))
+            pipeline = Pipeline(parameters, networks, warm_start=_warm_start(parameters))
             dead_reckoning = _DeadReckoning() if arguments.dead_reckoning else None
             estimates = 0
             for record in with_progress(bag.records(), bag.message_count, "replay"):

@@ -19,7 +19,15 @@ from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.study import dynamic, grid, paper
-from fnn_ekf_ros.study.filters import BANK, DEAD_RECKONING, ORACLE, StudyFilter, study_filters
+from fnn_ekf_ros.study.filters import (
+    BANK,
+    CENTROID,
+    DEAD_RECKONING,
+    ORACLE,
+    SET_BY_NAMES,
+    StudyFilter,
+    study_filters,
+)
 from fnn_ekf_ros.study.trials import Outcome, Size, Trial, oracle_outcome, try_filter
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools import (
@@ -36,8 +44,8 @@ from fnn_ekf_ros.tools.simulate import matching_localizer
 
 SET_BY_STUDY = {
     "wheel_radius", "wheel_separation", "gear_ratio", "encoder_counts_per_revolution", "period",
-    "process_noise_std", "measurement_noise_std", "lrf_yaw_std", "adaptation", "membership_file",
-    "initial_pose", "initial_pose_std",
+    "process_noise_std", "measurement_noise_std", "lrf_yaw_std", "initial_pose", "initial_pose_std",
+    *SET_BY_NAMES,
 }  # fmt: skip
 """What the recordings, the starts and the filters' names decide."""
 MOST = {"runs": 10_000, "steps": 100_000, "seed": 2**63 - 1}
@@ -65,7 +73,7 @@ class Study(NamedTuple):
     trials: Callable[[Size, StudyFilter], Iterator[Trial]]
     tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
     figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
-    left_out: tuple[str, ...] = (DEAD_RECKONING, BANK)
+    left_out: tuple[str, ...] = (DEAD_RECKONING, BANK, CENTROID)
     defaults: Mapping[str, Any] = MappingProxyType({})
 
 

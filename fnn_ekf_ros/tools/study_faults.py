@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -211,7 +211,7 @@ def _setting(path: str, seed: int, cell: Cell, given: dict[str, Any]) -> Setting
     robot = FakeRobotParameters(path=path, seed=seed)
     matching = told_noise(matching_localizer(robot), cell)
     localizer = build(LocalizerParameters, asdict(matching) | given)
-    return Setting(robot, localizer, network_for(localizer))
+    return Setting(robot, localizer, networks_for(localizer))
 
 
 def _chosen(words: str | None) -> list[FaultCase]:

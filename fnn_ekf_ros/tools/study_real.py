@@ -21,7 +21,7 @@ from fnn_ekf_ros.parameters.files import (
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, build
 from fnn_ekf_ros.pipeline.start import Waiting
-from fnn_ekf_ros.study.filters import EKF, JOINT, localizer_models
+from fnn_ekf_ros.study.filters import EKF, JOINT, SET_BY_NAMES, localizer_models
 from fnn_ekf_ros.study.real import (
     BatchStart,
     Run,
@@ -55,8 +55,6 @@ from fnn_ekf_ros.tools.study_tables import start_words
 
 NAME = "real"
 SUMMARY = "recordings with a ground truth, from 25 starts with wrong noise"
-SET_BY_FILTERS = {"adaptation", "membership_file"}
-"""What the filters' names decide."""
 
 
 class _Recording(NamedTuple):
@@ -106,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     require_matplotlib()
     for text in arguments.assignments:
         name, _ = parse_assignment(text)
-        if name in SET_BY_FILTERS:
+        if name in SET_BY_NAMES:
             raise FnnEkfError(f"parameter '{name}': the filters' names decide on it")
     labels = [path.stem if path.is_file() else path.resolve().name for path in arguments.bags]
     if len(set(labels)) < len(labels):
@@ -150,7 +148,7 @@ def _parameters(path: Path, arguments: argparse.Namespace) -> tuple[LocalizerPar
         values = read_parameter_file(beside, NODE_NAME)
         files.append(beside.name)
     values |= given_parameters(arguments, NODE_NAME)
-    for name in SET_BY_FILTERS:
+    for name in SET_BY_NAMES:
         values.pop(name, None)
     parameters = build(LocalizerParameters, values)
     for cell in ALL_CELLS:

@@ -39,6 +39,7 @@ from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row, diagonal_matrix
 from fnn_ekf_ros.core.evidence import SCALE_COUNT
 from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
 from fnn_ekf_ros.core.joint import ROW_SCALE
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.paper import (
@@ -205,4 +206,4 @@ def _joint_filter(network: FuzzyNetwork) -> FilterModel:
         compass_gate=0.0,  # every reading teaches: none is wild here, however wrong the start
         lrf_pose_gate=0.0,
     )
-    return filter_model(robot, network)
+    return filter_model(robot, networks_for(robot)._replace(joint=network))

@@ -26,7 +26,7 @@ import numpy as np
 from fnn_ekf_ros.core.adaptation import SMALLEST_WINDOW_SHARE
 from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray, Row, diagonal_matrix
 from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
-from fnn_ekf_ros.membership.files import read_membership
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.paper import (
@@ -181,4 +181,4 @@ def _holding_filter(window_length: int) -> FilterModel:
         compass_gate=0.0,  # every reading teaches: none is wild here, however wrong the start
         lrf_pose_gate=0.0,
     )
-    return filter_model(robot, read_membership(robot.membership_file))
+    return filter_model(robot, networks_for(robot))

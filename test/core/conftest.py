@@ -13,6 +13,7 @@ from fnn_ekf_ros.core.adaptation import (
     AdaptationMode,
     FuzzyNetwork,
     InferenceKind,
+    Networks,
 )
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.bounds import NoiseBounds
@@ -73,12 +74,17 @@ def build_adaptation(
     yaw_unit: float = 1e-6,
     window_length: int = 45,
     bounds: NoiseBounds = WIDE_BOUNDS,
+    process: FuzzyNetwork | None = None,
 ) -> Adaptation:
-    """Return an adaptation in mm^2 and mrad^2 with limits nothing ordinary reaches."""
+    """Return an adaptation in mm^2 and mrad^2 with limits nothing ordinary reaches.
+
+    `process` is Q's network where it is another one.
+    """
     if sets is None:
         sets = JOINT if mode == "joint" else PUBLISHED
     network = FuzzyNetwork(sets, position_unit, yaw_unit, change_limit=1e4)
-    return Adaptation(AdaptationMode(mode), InferenceKind(kind), network, window_length, bounds)
+    networks = Networks(network, process or network, network)
+    return Adaptation(AdaptationMode(mode), InferenceKind(kind), networks, window_length, bounds)
 
 
 def build_model(

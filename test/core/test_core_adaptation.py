@@ -10,6 +10,7 @@ from fnn_ekf_ros.core.adaptation import (
     LARGEST_DECREASE,
     Adaptation,
     Adapted,
+    FuzzyNetwork,
     NoiseBounds,
     adapt,
 )
@@ -22,7 +23,7 @@ PROPERTY = settings(derandomize=True, deadline=None, database=None, max_examples
 Q = np.array([4e-4, 3e-4])
 R = np.array([0.01, 0.012, 0.018, 0.02])
 ALL_ROWS = np.ones(4, dtype=np.bool_)
-FORWARD, YAW = 0, 2
+DISTANCE, ROTATION = 0, 1
 TIGHT = NoiseBounds((1e-4, 1e-4), (1e-3, 1e-3), (5e-3,) * 4, (3e-2,) * 4)
 
 
@@ -65,7 +66,7 @@ def test_mode_r_moves_every_row_by_its_fuzzy_output_in_its_unit(
         inference = (
             infer(either_set, D)
             if kind == "tsukamoto"
-            else infer_centroid(either_set, D, adaptation.network.change_limit)
+            else infer_centroid(either_set, D, adaptation.networks.measurement.change_limit)
         )
         expected = max(R[row] + float(inference.change) * unit[row], 0.25 * R[row])
         assert after.measurement_noise[row] == pytest.approx(expected, rel=1e-12)
@@ -103,13 +104,12 @@ def test_mode_q_projects_the_mismatch_on_the_way(
     ]
     np.testing.assert_allclose(after.process_noise, Q + change, rtol=1e-12)
     assert after.measurement_noise.tobytes() == R.tobytes()
-    np.testing.assert_allclose(
-        after.firing_strength[FORWARD], infer(published, np.array(forward / 2e-6)).firing_strength
-    )
-    np.testing.assert_allclose(
-        after.firing_strength[YAW], infer(published, np.array(D[2] / 5e-7)).firing_strength
-    )
-    assert np.all(after.firing_strength[[1, 3]] == 0.0)
+    for axis, argument in ((DISTANCE, forward / 2e-6), (ROTATION, D[2] / 5e-7)):
+        np.testing.assert_allclose(
+            after.process_firing_strength[axis],
+            infer(published, np.array(argument)).firing_strength,
+        )
+    assert np.all(after.firing_strength == 0.0)
 
 
 def test_mode_q_by_centroid(
@@ -145,8 +145,8 @@ def test_mode_q_uses_only_what_was_measured(
     C = S + np.array([1e-4, 1e-4, 2e-4, 5e-4])
     after = run(make_adaptation(mode="q"), S, C, available)
     assert (after.process_noise[0] != Q[0]) == forward_moves
-    assert np.any(after.firing_strength[FORWARD] != 0.0) == forward_moves
-    assert np.any(after.firing_strength[YAW] != 0.0) == (yaw_row is not None)
+    assert np.any(after.process_firing_strength[DISTANCE] != 0.0) == forward_moves
+    assert np.any(after.process_firing_strength[ROTATION] != 0.0) == (yaw_row is not None)
     if yaw_row is None:
         assert after.process_noise[1] == Q[1]
     else:
@@ -154,7 +154,7 @@ def test_mode_q_uses_only_what_was_measured(
         assert after.process_noise[1] == pytest.approx(Q[1] + change, rel=1e-12)
 
 
-@pytest.mark.parametrize("mode", ["r", "q"])
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
 def test_nothing_moves_without_a_measurement(
     make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
@@ -162,6 +162,7 @@ def test_nothing_moves_without_a_measurement(
     assert after.process_noise.tobytes() == Q.tobytes()
     assert after.measurement_noise.tobytes() == R.tobytes()
     assert np.all(after.firing_strength == 0.0)
+    assert np.all(after.process_firing_strength == 0.0)
 
 
 @pytest.mark.parametrize("row", range(4))
@@ -176,15 +177,35 @@ def test_mode_r_leaves_unmeasured_rows_bit_for_bit(
 
 
 @pytest.mark.parametrize(("filled", "teaches"), [(1, False), (14, False), (15, True), (45, True)])
-@pytest.mark.parametrize("mode", ["r", "q"])
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
 def test_row_teaches_once_a_third_of_its_window_is_filled(
     make_adaptation: Callable[..., Adaptation], mode: str, filled: int, teaches: bool
 ) -> None:
     after = run(make_adaptation(mode=mode), S, C_HAT + 1e-3, filled=filled)
-    noise, before = (
-        (after.measurement_noise, R) if mode == "r" else (after.process_noise, Q)
-    )  # fmt: skip
-    assert np.all((noise != before) == teaches)
+    assert np.all((after.measurement_noise != R) == (teaches and "r" in mode))
+    assert np.all((after.process_noise != Q) == (teaches and "q" in mode))
+
+
+@pytest.mark.parametrize("kind", ["tsukamoto", "centroid"])
+def test_mode_rq_moves_both_by_the_same_mismatch_each_by_its_own_network(
+    make_adaptation: Callable[..., Adaptation], initial: FuzzySets, kind: str
+) -> None:
+    """R as mode r, Q as mode q, bit for bit: neither is told what the other one did."""
+    process = FuzzyNetwork(initial, 2e-6, 5e-7, change_limit=2e3)
+    C = S + np.array([1e-4, -3e-4, 2e-4, 5e-4])
+    alone = {
+        mode: run(make_adaptation(mode=mode, kind=kind, process=process), S, C)
+        for mode in ("r", "q")
+    }
+    both = run(make_adaptation(mode="rq", kind=kind, process=process), S, C)
+    assert both.measurement_noise.tobytes() == alone["r"].measurement_noise.tobytes()
+    assert both.firing_strength.tobytes() == alone["r"].firing_strength.tobytes()
+    assert both.process_noise.tobytes() == alone["q"].process_noise.tobytes()
+    assert both.process_firing_strength.tobytes() == alone["q"].process_firing_strength.tobytes()
+    shared = run(make_adaptation(mode="rq", kind=kind), S, C)
+    assert np.all(both.process_noise != Q)
+    assert np.all(shared.process_noise != both.process_noise)
+    assert shared.measurement_noise.tobytes() == both.measurement_noise.tobytes()
 
 
 def test_mode_none_leaves_the_noise_bit_for_bit_and_still_reports_the_mismatch(
@@ -205,29 +226,29 @@ def test_rows_that_have_seen_nothing_have_no_mismatch(
     np.testing.assert_allclose(after.mismatch, [S[0] - 1.0, 0.0, S[2] - 1.0, 0.0])
 
 
-@pytest.mark.parametrize("mode", ["r", "q"])
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
 def test_one_step_takes_away_three_quarters_at_most(
     make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
     assert LARGEST_DECREASE == 0.75
     after = run(make_adaptation(mode=mode), S + 10.0, C_HAT)
-    noise, before = (
-        (after.measurement_noise, R) if mode == "r" else (after.process_noise, Q)
-    )  # fmt: skip
-    np.testing.assert_allclose(noise, 0.25 * before, rtol=1e-14)
+    np.testing.assert_allclose(
+        after.measurement_noise, R * (0.25 if "r" in mode else 1.0), rtol=1e-14
+    )
+    np.testing.assert_allclose(after.process_noise, Q * (0.25 if "q" in mode else 1.0), rtol=1e-14)
 
 
-@pytest.mark.parametrize("mode", ["r", "q"])
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
 @pytest.mark.parametrize("excess", [10.0, -10.0])
 def test_bounds_hold(make_adaptation: Callable[..., Adaptation], mode: str, excess: float) -> None:
     after = run(make_adaptation(mode=mode, bounds=TIGHT), S + np.maximum(excess, 0.0),
                 C_HAT + np.maximum(-excess, 0.0))  # fmt: skip
-    if mode == "r":
+    if "r" in mode:
         limit = TIGHT.measurement_min if excess > 0.0 else TIGHT.measurement_max
         np.testing.assert_array_equal(after.measurement_noise, limit)
-    else:
-        largest_or_smallest = TIGHT.process_min if excess > 0.0 else TIGHT.process_max
-        np.testing.assert_array_equal(after.process_noise, largest_or_smallest)
+    if "q" in mode:
+        limit = TIGHT.process_min if excess > 0.0 else TIGHT.process_max
+        np.testing.assert_array_equal(after.process_noise, limit)
 
 
 def test_each_variance_has_its_own_bound(make_adaptation: Callable[..., Adaptation]) -> None:
@@ -247,7 +268,7 @@ MAGNITUDE = st.one_of(
 
 @PROPERTY
 @given(
-    st.sampled_from(["r", "q"]),
+    st.sampled_from(["r", "q", "rq"]),
     st.sampled_from(["tsukamoto", "centroid"]),
     st.lists(st.tuples(MAGNITUDE, MAGNITUDE, MAGNITUDE, MAGNITUDE), min_size=1, max_size=8),
     st.integers(min_value=1, max_value=15),
@@ -283,9 +304,10 @@ def test_noise_stays_positive_and_inside_its_bounds_whatever_comes(
                 assert np.all(np.isfinite(noise))
                 assert np.all((noise >= np.array(low)) & (noise <= np.array(high)))
             assert np.all(np.isfinite(after.firing_strength))
+            assert np.all(np.isfinite(after.process_firing_strength))
 
 
-@pytest.mark.parametrize("mode", ["none", "r", "q"])
+@pytest.mark.parametrize("mode", ["none", "r", "q", "rq"])
 def test_batches_equal_one_by_one_and_arguments_are_not_changed(
     make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:

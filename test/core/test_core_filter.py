@@ -73,7 +73,7 @@ def one_of_batch(value: Any, index: tuple[int, ...]) -> Any:
     return type(value)(*parts)
 
 
-@pytest.mark.parametrize("mode", ["none", "r", "q", "joint"])
+@pytest.mark.parametrize("mode", ["none", "r", "q", "rq", "joint"])
 def test_step_changes_none_of_its_arguments_and_repeats_itself(
     make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
@@ -89,7 +89,7 @@ def test_step_changes_none_of_its_arguments_and_repeats_itself(
         state = first[0]
 
 
-@pytest.mark.parametrize("mode", ["none", "r", "q", "joint"])
+@pytest.mark.parametrize("mode", ["none", "r", "q", "rq", "joint"])
 @BOTH_MODELS
 def test_batch_equals_single_filters(
     make_model: Callable[..., FilterModel],
@@ -169,7 +169,7 @@ def test_without_adaptation_the_run_equals_the_textbook_filter(
     assert state.measurement_noise.tobytes() == np.array(filter_model.measurement_noise).tobytes()
 
 
-@pytest.mark.parametrize("mode", ["r", "q"])
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
 def test_adaptation_changes_nothing_before_it_has_learned_something(
     make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
@@ -414,8 +414,8 @@ def test_reported_covariance_moves_by_the_network_output(
     np.testing.assert_allclose(effective, own_ten.measurement_noise, rtol=1e-9)
 
 
-@pytest.mark.parametrize("before", ["none", "r", "q", "joint"])
-@pytest.mark.parametrize("after", ["none", "r", "q", "joint"])
+@pytest.mark.parametrize("before", ["none", "r", "q", "rq", "joint"])
+@pytest.mark.parametrize("after", ["none", "r", "q", "rq", "joint"])
 def test_a_change_of_mode_keeps_the_pose_and_the_noise_without_an_alarms_share(
     make_model: Callable[..., FilterModel],
     make_adaptation: Callable[..., Adaptation],

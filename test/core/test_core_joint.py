@@ -336,7 +336,7 @@ def test_turning_on_the_spot_equals_scalar_filters(model: FilterModel) -> None:
             u = np.linalg.solve(information, score)
             if k == SETTLED:
                 np.testing.assert_allclose(belief(result).explained, u, rtol=0.0, atol=1e-9)
-            moved = joint.log_scale[k] + infer(model.adaptation.network.sets, -u).change
+            moved = joint.log_scale[k] + infer(model.adaptation.networks.joint.sets, -u).change
             np.testing.assert_allclose(after.log_scale[k], moved, rtol=0.0, atol=1e-9)
             assert N <= after.memory[k] <= LONGEST_MEMORY[k]
         for k, star in stars.items():

@@ -18,7 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.ros.localizer import LocalizerNode
@@ -116,7 +116,7 @@ class Bench:
         rclpy.init(args=["", "--ros-args", "-p", "use_sim_time:=true", *arguments])
         parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
         self.node = Node("bench")
-        self.localizer = LocalizerNode(parameters, network_for(parameters))
+        self.localizer = LocalizerNode(parameters, networks_for(parameters))
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.localizer)
         self.executor.add_node(self.node)

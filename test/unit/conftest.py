@@ -12,7 +12,7 @@ import pytest
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.cli import run_command
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -76,7 +76,7 @@ def make_pipeline(
 
     def make(**changes: Any) -> Pipeline:
         parameters = make_parameters(**changes)
-        return Pipeline(parameters, network_for(parameters))
+        return Pipeline(parameters, networks_for(parameters))
 
     return make
 

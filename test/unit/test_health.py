@@ -197,7 +197,7 @@ def test_what_joint_adaptation_believes_is_reported(
     np.testing.assert_allclose(in_use, [0.05 * way, math.radians(3.0) * turn], rtol=0.05)
 
 
-@pytest.mark.parametrize("mode", ["none", "r", "q"])
+@pytest.mark.parametrize("mode", ["none", "r", "q", "rq"])
 def test_other_modes_have_no_belief(
     make_pipeline: Any, feed: Any, simulated: Any, mode: str
 ) -> None:

@@ -89,8 +89,8 @@ def test_a_kidnapped_robot_is_told_of_once(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"adaptation": "r", "measurement_noise_std_max": [1e3, 1e3, 0.134]},
-         "compass noise at its upper bound 0.134 rad"),
+        ({"adaptation": "r", "measurement_noise_std_max": [1e3, 1e3, 0.135]},
+         "compass noise at its upper bound 0.135 rad"),
         ({"adaptation": "q", "process_noise_std_min": [0.05, 1e-4]},
          "wheels' way noise at its lower bound 0.05 m"),
         ({"adaptation": "joint", "measurement_noise_std_min": [0.1, 1e-3, 1e-3]},

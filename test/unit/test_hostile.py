@@ -29,7 +29,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
@@ -58,7 +58,7 @@ class Localizer:
 
     def __init__(self, parameters: LocalizerParameters, as_object: AsObject) -> None:
         self.parameters = parameters
-        self.pipeline = Pipeline(parameters, network_for(parameters))
+        self.pipeline = Pipeline(parameters, networks_for(parameters))
         self.estimates = 0
         self.refused = 0
         self.truth: deque[Truth] = deque(maxlen=200)
@@ -116,7 +116,7 @@ class Localizer:
         }
         now = {name: getattr(p, name) for name in p.__dataclass_fields__}
         self.parameters = build(LocalizerParameters, now | values)
-        self.pipeline.change(self.parameters, network_for(self.parameters))
+        self.pipeline.change(self.parameters, networks_for(self.parameters))
         low, high = bounds_of(self.parameters)
         # What was adapted before stays until it is adapted again.
         self._low, self._high = np.minimum(low, self._low), np.maximum(high, self._high)

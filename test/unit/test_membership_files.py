@@ -9,7 +9,7 @@ import pytest
 from fnn_ekf_ros.membership.files import (
     PACKAGED,
     MembershipError,
-    network_for,
+    networks_for,
     read_membership,
 )
 
@@ -102,16 +102,27 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         ),
         ({"joint_membership_file": "nowhere"}, "joint_membership_file 'nowhere': No such file"),
         ({"membership_file": "nowhere"}, "membership_file 'nowhere': No such file"),
+        (
+            {"process_membership_file": "joint"},
+            "process_membership_file 'joint' has units of 1",
+        ),
+        ({"process_membership_file": "nowhere"}, "process_membership_file 'nowhere': No such file"),
     ],
 )
-@pytest.mark.parametrize("adaptation", ["joint", "r", "none"])
+@pytest.mark.parametrize("adaptation", ["joint", "r", "rq", "none"])
 def test_a_set_that_is_not_for_its_mode_is_refused_in_every_mode(
     make_parameters: Any, adaptation: str, changes: dict[str, str], said: str
 ) -> None:
     with pytest.raises(MembershipError, match=said):
-        network_for(make_parameters(adaptation=adaptation, **changes))
+        networks_for(make_parameters(adaptation=adaptation, **changes))
 
 
-def test_each_mode_gets_its_own_set(make_parameters: Any) -> None:
-    for adaptation, name in (("joint", "joint"), ("r", "published"), ("none", "published")):
-        assert network_for(make_parameters(adaptation=adaptation)) == read_membership(name)
+def test_each_covariance_gets_its_own_set(make_parameters: Any) -> None:
+    published, trained, initial, joint = map(
+        read_membership, ("published", "trained", "initial", "joint")
+    )
+    assert networks_for(make_parameters()) == (published, published, joint)
+    of_both = make_parameters(membership_file="trained")
+    assert networks_for(of_both) == (trained, trained, joint)
+    apart = make_parameters(membership_file="trained", process_membership_file="initial")
+    assert networks_for(apart) == (trained, initial, joint)

@@ -110,9 +110,27 @@ def test_noise_numbers_keep_their_places() -> None:
         34: "log_scale_position", 35: "log_scale_yaw", 36: "weight_start", 37: "weight_settled",
         38: "weight_fast", 39: "weight_slip", 40: "nis_compass", 41: "nis_lrf_pose",
         42: "rejected_compass", 43: "rejected_lrf_pose", 44: "relocated",
+        45: "firing_increase_process_forward", 50: "firing_decrease_process_heading",
     }  # fmt: skip
     assert {index: NOISE_FIELDS[index] for index in places} == places
-    assert len(NOISE_FIELDS) == 45
+    assert len(NOISE_FIELDS) == 51
+
+
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
+def test_noise_numbers_tell_what_fired(
+    make_pipeline: Any, feed: Any, simulated: Any, as_object: Callable[[Message], Any], mode: str
+) -> None:
+    outputs = feed(make_pipeline(adaptation=mode), simulated(11, 30.0).arrivals)
+    *_, last = (output.estimate for output in outputs if output.estimate is not None)
+    data = as_object(messages.noise(last)).data
+    rows, process = last.result.firing_strength, last.result.process_firing_strength
+    assert np.any(rows) == ("r" in mode)
+    assert np.any(process) == ("q" in mode)
+    np.testing.assert_array_equal(data[45:51], np.ravel(process))
+    if mode == "q":  # in the rows of x and compass yaw, too
+        np.testing.assert_array_equal(data[[20, 21, 22, 26, 27, 28]], np.ravel(process))
+    else:
+        np.testing.assert_array_equal(data[20:32], np.ravel(rows))
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
@@ -157,7 +175,7 @@ def test_noise_numbers_tell_what_joint_adaptation_believes(
     np.testing.assert_array_equal(data[36:40], last.result.joint.weights)
     assert sum(data[36:40]) == pytest.approx(1.0)
     np.testing.assert_allclose(
-        data[0:4], np.exp(data[[34, 34, 35, 35]]) * [0.25, 0.25, 0.67**2, 0.134**2]
+        data[0:4], np.exp(data[[34, 34, 35, 35]]) * [0.25, 0.25, 0.67**2, 0.018]
     )
     np.testing.assert_allclose(data[4:6], np.exp(data[32:34]) * [0.05**2, math.radians(3.0) ** 2])
     np.testing.assert_array_equal(as_object(messages.noise(first)).data[32:], 0.0)

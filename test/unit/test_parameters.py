@@ -5,6 +5,7 @@ import math
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -97,7 +98,7 @@ def test_fake_robot_needs_nothing() -> None:
 def test_defaults_are_the_papers() -> None:
     made = build(LocalizerParameters, GEOMETRY)
     assert made.process_noise_std == (0.05, math.radians(3.0))
-    assert made.measurement_noise_std == (0.1, 0.1, 0.134)
+    assert made.measurement_noise_std == pytest.approx(np.sqrt([0.01, 0.01, 0.018]), rel=1e-15)
     assert made.period == 0.375
     assert made.gear_ratio == 1.0
     assert made.innovation_window == 45

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.events import Output
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
@@ -15,7 +15,7 @@ MODES = ("none", "r", "q", "joint")
 
 
 def change(pipeline: Pipeline, parameters: LocalizerParameters) -> None:
-    pipeline.change(parameters, network_for(parameters))
+    pipeline.change(parameters, networks_for(parameters))
 
 
 def noise(outputs: list[Output]) -> np.ndarray[Any, Any]:
@@ -106,7 +106,7 @@ def test_late_inputs_run_the_periods_before_a_change_as_they_were(
     same_estimates(*runs)
 
 
-@pytest.mark.parametrize("after", ["r", "joint"])
+@pytest.mark.parametrize("after", ["r", "rq", "joint"])
 def test_noise_that_is_held_stays_held(
     make_pipeline: Callable[..., Pipeline],
     make_parameters: Callable[..., LocalizerParameters],

@@ -140,7 +140,7 @@ def test_a_state_that_is_no_longer_finite_is_not_gone_on_with(
     assert np.all(np.diff(stamps) == PERIOD_NS)
 
 
-@pytest.mark.parametrize("adaptation", ["none", "r", "q", "joint"])
+@pytest.mark.parametrize("adaptation", ["none", "r", "q", "rq", "joint"])
 def test_without_any_measurement_the_covariance_grows(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, adaptation: str
 ) -> None:

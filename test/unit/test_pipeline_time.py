@@ -62,7 +62,7 @@ def pick(arrivals: Sequence[Any], kind: type[Event], after_ns: int) -> Any:
     )
 
 
-@pytest.mark.parametrize("adaptation", ["none", "r", "q"])
+@pytest.mark.parametrize("adaptation", ["none", "r", "q", "rq"])
 @pytest.mark.parametrize("kind", [CompassYaw, PoseFix])
 @pytest.mark.parametrize("late_s", [0.2, 0.5, 1.1, 1.6])
 def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_time(
@@ -354,7 +354,7 @@ def test_reset_is_a_new_start(
     same_estimates(feed(pipeline, moved), feed(make_pipeline(**WRONG_START), moved))
 
 
-@pytest.mark.parametrize("adaptation", ["r", "q"])
+@pytest.mark.parametrize("adaptation", ["r", "q", "rq"])
 def test_without_learning_from_the_start_it_is_the_plain_filter(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, adaptation: str
 ) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.pipeline.saved import SavedState
@@ -273,10 +273,10 @@ def process_noise_shown(pipeline: Pipeline) -> str:
 
 
 def warm(parameters: LocalizerParameters, state: SavedState) -> Pipeline:
-    return Pipeline(parameters, network_for(parameters), warm_start=state)
+    return Pipeline(parameters, networks_for(parameters), warm_start=state)
 
 
-@pytest.mark.parametrize("mode", ["none", "r", "joint"])
+@pytest.mark.parametrize("mode", ["none", "r", "rq", "joint"])
 def test_a_warm_start_has_pose_and_noise_at_once(
     make_parameters: MakeParameters, state: SavedState, mode: str
 ) -> None:
@@ -337,7 +337,7 @@ def test_the_noise_that_was_learned_serves_a_plain_filter(
     parameters = make_parameters(**wrong, adaptation="none")
     errors = []
     for start in (None, kept._replace(pose=second.truth[min(second.truth)])):
-        pipeline = Pipeline(parameters, network_for(parameters), warm_start=start)
+        pipeline = Pipeline(parameters, networks_for(parameters), warm_start=start)
         outputs = feed(pipeline, second.arrivals)
         poses = [o.estimate for o in outputs if o.estimate and o.stamp_ns in second.truth]
         wrong_by = [np.hypot(*(e.state.mean - second.truth[e.stamp_ns])[:2]) for e in poses]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.events import Level, Sensor
@@ -30,7 +30,7 @@ SUBSET = ("compass_bias", "lrf_pose_nan")
 def setting(seed: int, cell: Cell = RIGHT) -> Setting:
     robot = FakeRobotParameters(path="sim1", seed=seed)
     localizer = told_noise(matching_localizer(robot), cell)
-    return Setting(robot, localizer, network_for(localizer))
+    return Setting(robot, localizer, networks_for(localizer))
 
 
 def test_faults_have_names_of_their_own_and_every_sensor_has_some() -> None:

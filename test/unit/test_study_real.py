@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import Row
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
@@ -38,12 +38,14 @@ needs_data = pytest.mark.skipif(
     reason=f"no recordings of real robots in '{DATA}': FNN_EKF_ROS_RECORDINGS names their folder",
 )
 CELLS = (Cell(1.0, 1.0), Cell(1.0 / 25.0, 25.0), Cell(4.0, 1.0 / 25.0))
+NO_GATE = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 FILTERS: dict[str, dict[str, Any]] = {
-    "ekf": {"adaptation": "none", "compass_gate": 0.0, "lrf_pose_gate": 0.0},
+    "ekf": {"adaptation": "none"} | NO_GATE,
     "ekf_gated": {"adaptation": "none"},
     "joint": {"adaptation": "joint"},
-    "r_published": {"adaptation": "r", "membership_file": "published"},
-    "q_trained": {"adaptation": "q", "membership_file": "trained"},
+    "rq_published": {"adaptation": "rq", "membership_file": "published"} | NO_GATE,
+    "r_published": {"adaptation": "r", "membership_file": "published"} | NO_GATE,
+    "q_trained": {"adaptation": "q", "membership_file": "trained"} | NO_GATE,
 }
 SECOND_NS = 10**9
 BEGIN_NS = 3 * SECOND_NS
@@ -87,7 +89,7 @@ def outputs_of(
 ) -> list[Any]:
     """Return the estimates of the localizer itself."""
     told = dataclasses.replace(with_noise_of(parameters, cell), **FILTERS[name])
-    pipeline = Pipeline(told, network_for(told))
+    pipeline = Pipeline(told, networks_for(told))
     return [o.estimate for o in feed(pipeline, arrivals) if o.estimate is not None]
 
 
@@ -294,7 +296,7 @@ def test_the_same_numbers_as_replay_and_evaluate(
     [
         (["--truth-topic", "/truth"], "topic /truth is missing, expected nav_msgs/msg/Odometry"),
         (["--truth-topic", "/left_ticks"], "topic /left_ticks is of type std_msgs/msg/Int32"),
-        (["--filters", "ukf"], "--filters ukf: expected some of ekf_gated, joint, r_published, "),
+        (["--filters", "ukf"], "--filters ukf: expected some of ekf_gated, joint, rq_published, "),
         (["--filters", "oracle"], "--filters oracle: expected some of ekf_gated, "),
         (["-p", "adaptation:=r"], "parameter 'adaptation': the filters' names decide on it"),
         (

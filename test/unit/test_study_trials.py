@@ -8,7 +8,7 @@ import pytest
 
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.filter import StepInput, start_filter, step
-from fnn_ekf_ros.membership.files import network_for
+from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
@@ -33,6 +33,7 @@ ROBOT = FakeRobotParameters(path="sim1")
 TRUE_Q = np.square(ROBOT.slip())
 CELLS = (RIGHT, Cell(1.0, 1 / 25), Cell(1.0, 25.0), Cell(1 / 25, 25.0), Cell(25.0, 25.0))
 SIZE = Size(steps=240, runs=30, seed=4)
+NO_GATE = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 TINY = Size(steps=20, runs=3, seed=2)
 Make = Callable[..., LocalizerParameters]
 
@@ -98,9 +99,9 @@ def test_every_filter_by_its_name(filters: dict[str, StudyFilter]) -> None:
     looks = [line_style(name, {name: ""}) for name in filters]
     assert len({(look["color"], look["ls"]) for look in looks}) == len(filters)
     assert {
-        "dead_reckoning", "ekf", "ekf_gated", "oracle", "r_published", "q_published", "r_trained",
-        "q_trained", "innovation_based", "sage_husa", "variational_bayes",
-        "multiple_model",
+        "dead_reckoning", "ekf", "ekf_gated", "oracle", "rq_published", "rq_trained", "r_published",
+        "q_published", "r_trained", "q_trained", "rq_centroid", "joint", "innovation_based",
+        "sage_husa", "variational_bayes", "multiple_model",
     } <= set(filters)  # fmt: skip
 
 
@@ -125,11 +126,14 @@ def test_a_batch_is_what_its_robots_are_one_by_one(
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("ekf", {"adaptation": "none", "compass_gate": 0.0, "lrf_pose_gate": 0.0}),
+        ("ekf", {"adaptation": "none"} | NO_GATE),
         ("ekf_gated", {"adaptation": "none"}),
         ("joint", {"adaptation": "joint"}),
-        ("r_published", {"adaptation": "r", "membership_file": "published"}),
-        ("q_trained", {"adaptation": "q", "membership_file": "trained"}),
+        ("rq_published", {"adaptation": "rq", "membership_file": "published"} | NO_GATE),
+        ("rq_trained", {"adaptation": "rq", "membership_file": "trained"} | NO_GATE),
+        ("r_published", {"adaptation": "r", "membership_file": "published"} | NO_GATE),
+        ("q_trained", {"adaptation": "q", "membership_file": "trained"} | NO_GATE),
+        ("rq_centroid", {"adaptation": "rq", "inference": "centroid"} | NO_GATE),
     ],
 )
 def test_filters_are_the_localizers_own(
@@ -140,7 +144,7 @@ def test_filters_are_the_localizers_own(
     recording, start = tiny
     track = study_filters(make_parameters(**shared))[name].run(recording, start)
     parameters = make_parameters(**shared, **changes)
-    model = filter_model(parameters, network_for(parameters))
+    model = filter_model(parameters, networks_for(parameters))
     state = start_filter(model, *start)
     for t in range(TINY.steps):
         period = StepInput(

@@ -13,7 +13,7 @@ import pytest
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import diagonal_matrix
 from fnn_ekf_ros.core.fuzzy import infer
-from fnn_ekf_ros.membership.files import read_membership, write_membership
+from fnn_ekf_ros.membership.files import networks_for, read_membership, write_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
@@ -80,7 +80,7 @@ def test_the_packaged_set_beats_the_papers(
     def errors(mode: str, name: str, factor: float) -> np.ndarray:
         parameters = make_parameters(adaptation=mode, membership_file=name)
         start = Start(mean, P, np.tile(recording.process_noise[0], (60, 1)), R * factor)
-        model = filter_model(parameters, read_membership(name))
+        model = filter_model(parameters, networks_for(parameters))
         error = run_filter(model, recording, start).mean - recording.truth[1:]
         error[..., 2] = wrap_angle(error[..., 2])
         return np.sqrt(np.mean(error**2, axis=(0, 1)))
