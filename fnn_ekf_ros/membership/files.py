@@ -20,7 +20,7 @@ SMALLEST, LARGEST = 1e-15, 1e15
 """Sizes of numbers that leave room for products of them."""
 REMEDY = "write it again with `train --out`"
 _POSITIVE = ("position_unit", "yaw_unit", "change_limit")
-_LETTERS = ("a1", "b1", "a2", "b2", "a3", "b3", "a4", "b4", "c1", "sigma1", "c2", "sigma2")
+LETTERS = ("a1", "b1", "a2", "b2", "a3", "b3", "a4", "b4", "c1", "sigma1", "c2", "sigma2")
 """The paper's names of the parameters, in the order of `FuzzySets`."""
 _HEAD = """\
 # Membership functions of fnn_ekf_ros; x = {argument}. P, N, I, D: sigmoids
@@ -139,7 +139,7 @@ def render_membership(network: FuzzyNetwork, notes: Sequence[str], argument: str
     entries.append(("sets:", ""))
     entries += [
         (f"  {key}: {value!r}", letter)
-        for (key, value), letter in zip(network.sets._asdict().items(), _LETTERS, strict=True)
+        for (key, value), letter in zip(network.sets._asdict().items(), LETTERS, strict=True)
     ]
     width = max(len(entry) for entry, _ in entries)
     lines = [f"# {note}" for note in notes]

@@ -1,8 +1,9 @@
 """The paper's own trials: both simulations and the experiment's round path.
 
-From the right start, and with R assumed 25 times its true variance. The paper does not say how
-wrong its own start was; where it is right, no adaptive filter can beat the EKF. The command runs
-the filters on the paper's motion model (eq. 4), the oracle too.
+From the right start, with R assumed 25 times its true variance, and with Q a 25th of its true
+variance as well. The paper does not say how wrong its own start was; where it is right, no
+adaptive filter can beat the EKF. The command runs the filters on the paper's motion model (eq. 4),
+the oracle too.
 """
 
 from collections.abc import Iterator
@@ -19,7 +20,9 @@ TRIALS = {
     "round": "experiment (simulated)",
 }
 """Paths of the fake robot, and what the paper calls them."""
-STARTS = (RIGHT, Cell(1.0, 25.0))
+STARTS = (RIGHT, Cell(1.0, 25.0), Cell(1.0 / 25.0, 25.0))
+FIRST_CORNER, LINE, THIRD_CORNER = (6.0, 0.0), (3.0, 0.0), (4.5, 4.0)
+"""Places on the experiment's path that the paper enlarges, counted from its start [m]."""
 
 
 def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:

@@ -23,7 +23,9 @@ from fnn_ekf_ros.study.filters import (
     BANK,
     CENTROID,
     DEAD_RECKONING,
+    EKF,
     ORACLE,
+    PAPER,
     SET_BY_NAMES,
     StudyFilter,
     study_filters,
@@ -64,6 +66,7 @@ class Study(NamedTuple):
         tables: the results in Markdown.
         figures: draws them into a folder.
         left_out: filters that run only when they are named.
+        always: filters that run even when they are not named.
         defaults: parameters of the filters that differ from the localizer's.
     """
 
@@ -74,6 +77,7 @@ class Study(NamedTuple):
     tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
     figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
     left_out: tuple[str, ...] = (DEAD_RECKONING, BANK, CENTROID)
+    always: tuple[str, ...] = ()
     defaults: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -87,6 +91,7 @@ STUDIES = {
         "the paper's simulations and experiment, with its figures",
         tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
         _paper_tables, study_paper_figures.draw_paper, left_out=(),
+        always=(EKF, PAPER),
         defaults=MappingProxyType({"motion_model": "paper"}),
     ),
     "grid": Study(
@@ -119,7 +124,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         own.add_argument("--seed", metavar="S", type=int, default=1, help="of everything (1)")
         but = f" but {', '.join(study.left_out)}" if study.left_out else ""
         own.add_argument(
-            "--filters", metavar="A,B", help=f"filters beside the oracle, by name (all{but})"
+            "--filters",
+            metavar="A,B",
+            help=f"filters beside {', '.join((ORACLE, *study.always))}, by name (all{but})",
         )
         own.add_argument(
             "--json", metavar="FILE", type=Path, help="write the numbers here (DIR/results.json)"
@@ -202,7 +209,7 @@ def _chosen(words: str | None, known: dict[str, StudyFilter], study: Study) -> l
     for word in chosen:
         if word not in possible:
             raise FnnEkfError(f"--filters {word}: expected some of {', '.join(possible)}")
-    return [name for name in possible if name in chosen]
+    return [name for name in possible if name in (*chosen, *study.always)]
 
 
 def _localizer(path: str, given: dict[str, Any]) -> LocalizerParameters:

@@ -1,7 +1,7 @@
 """Pictures of the studies; needs matplotlib. Colours are Okabe and Ito's, told apart by all."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,12 +15,14 @@ from fnn_ekf_ros.study.filters import ORACLE
 from fnn_ekf_ros.study.scenarios import event_steps
 from fnn_ekf_ros.study.starts import FACTORS, Cell
 from fnn_ekf_ros.study.trials import Outcome
-from fnn_ekf_ros.tools.study_tables import Labels, factor_words, range_words, start_words
+from fnn_ekf_ros.tools.study_tables import AXES, Labels, factor_words, range_words, start_words
 
 DPI = 110
 SMOOTHED_STEPS = 8
 """RMS errors over time are drawn as the RMS over so many steps, 3 s."""
-START_NOTE = "q, k: variance of Q, R that the filter is told at the start, over the true one"
+START_NOTE = "Q, R x 25: the filter starts with a variance of Q, R 25 times the true one"
+ERROR_UNITS = {"position": "m", "x": "m", "y": "m", "theta": "rad"}
+"""Units of the axes of an error, as tables and figures call them."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 _STYLES: dict[str, tuple[str, str]] = {
     ORACLE: ("#000000", ":"),
@@ -211,16 +213,14 @@ def draw_dynamic(out: Path, outcomes: Sequence[Outcome], labels: Labels) -> None
     """Draw position and heading errors over time, for each case one picture with all starts."""
     for trial, case in dynamic.CASES.items():
         tried = [outcome for outcome in outcomes if outcome.trial == trial]
-        for word, unit in (("position", "m"), ("heading", "deg")):
+        for axis, word in (("position", "position"), ("theta", "heading")):
             heading = f"RMS {word} error over the runs: {case.about}\n{START_NOTE}"
-            figure = _errors_over_time(tried, word, unit, labels, case.has_event)
+            figure = _errors_over_time(tried, axis, labels, case.has_event)
             figure.suptitle(heading, fontsize=12)
             save(figure, out / f"dynamic_{trial}_{word}.png")
 
 
-def _errors_over_time(
-    tried: Sequence[Outcome], word: str, unit: str, labels: Labels, has_event: bool
-) -> Any:
+def _errors_over_time(tried: Sequence[Outcome], axis: str, labels: Labels, has_event: bool) -> Any:
     figure = new_figure(13.0, 7.5)
     panels = figure.subplots(2, 3, sharex=True, sharey=True)
     legend = panels.flat[5]
@@ -230,7 +230,7 @@ def _errors_over_time(
     for panel, cell in zip(panels.flat, dynamic.STARTS, strict=False):
         for outcome in tried:
             index = outcome.cells.index(cell) if cell in outcome.cells else 0
-            rms = smoothed(axis_error(outcome.rms[:, index], word))
+            rms = smoothed(axis_error(outcome.rms[:, index], axis))
             panel.plot(time, rms, **line_style(outcome.filter, labels))
         if has_event:
             begin, end = (NOMINAL_PERIOD_S * step for step in (event.start, event.stop))
@@ -238,7 +238,7 @@ def _errors_over_time(
         panel.set(title=start_words(cell))
         logarithmic(panel)
     for panel in panels[:, 0]:
-        panel.set_ylabel(f"{word} [{unit}]")
+        panel.set_ylabel(f"{axis} [{ERROR_UNITS[axis]}]")
     for panel in (*panels[1, :2], panels[0, 2]):
         panel.set_xlabel("time [s]")
         panel.tick_params(labelbottom=True)
@@ -247,12 +247,11 @@ def _errors_over_time(
     return figure
 
 
-def axis_error(rms: FloatArray, word: str) -> FloatArray:
-    """Return the RMS error `(T,)` of `(T, 3)`: position or x or y [m], heading [deg]."""
-    if word == "position":
+def axis_error(rms: FloatArray, axis: str) -> FloatArray:
+    """Return the RMS error `(T,)` of `(T, 3)` in one of `ERROR_UNITS` (m, rad)."""
+    if axis == "position":
         return np.asarray(np.hypot(rms[:, 0], rms[:, 1]))
-    index: Mapping[str, int] = {"x": 0, "y": 1, "heading": 2}
-    return rms[:, index[word]] * (180.0 / np.pi if word == "heading" else 1.0)
+    return rms[:, AXES.index(axis)]
 
 
 def smoothed(rms: FloatArray) -> FloatArray:

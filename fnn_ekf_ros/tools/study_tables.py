@@ -17,13 +17,14 @@ Labels = Mapping[str, str]
 """What a filter is called, by name."""
 AXES = ("x", "y", "theta")
 HOW_TO_READ = f"""\
-q, k: variance of Q and of R that the filter is told at the start, over the true one. RMSE: mean
-over the runs of each run's. Ratio: RMSE of all runs over that of the oracle, an EKF that is told
-the true Q and R of each step; x / y / theta. NEES: 3 where the covariance is honest; inside: share
-of the steps at which its mean over the runs lies in the 95 % chi-square band. NIS: per degree of
-freedom, 1 where innovations are as large as expected. Diverged: share of the runs whose position
-was once off by more than {LOST_FACTOR:g} times the oracle's RMSE. In brackets: 95 % confidence
-intervals over the runs.
+Q / 25, R x 25: the filter starts with a 25th of the true variance of Q and with 25 times that of
+R; q and k are these two factors. RMSE: mean over the runs of each run's. Ratio: RMSE of all runs
+over that of the oracle, an EKF that is told the true Q and R of each step; x / y / theta. NEES: 3
+where the covariance is honest; inside: share of the steps at which its mean over the runs lies in
+the 95 % chi-square band. NIS: per degree of freedom, 1 where innovations are as large as expected.
+Diverged: share of the runs whose position was once off by more than {LOST_FACTOR:g} times the
+oracle's RMSE. In brackets: 95 % confidence intervals over the runs. *FNN-EKF joint* and *EKF with
+gate* reject outliers as the localizer ships; the others, the paper's too, take every reading.
 """
 
 
@@ -187,10 +188,13 @@ def range_words(name: str) -> str:
 
 
 def start_words(cell: Cell) -> str:
-    """Return a start in words."""
-    if cell == RIGHT:
-        return "right start"
-    return f"q = {factor_words(cell.q)}, k = {factor_words(cell.k)}"
+    """Return a start in words, such as `Q / 25, R x 25`."""
+    wrong = [
+        f"{name} x {factor:g}" if factor > 1.0 else f"{name} / {1.0 / factor:g}"
+        for name, factor in (("Q", cell.q), ("R", cell.k))
+        if factor != 1.0
+    ]
+    return ", ".join(wrong) or "right start"
 
 
 def _at(outcomes: Sequence[Outcome], trial: str, cell: Cell) -> Iterator[tuple[Outcome, int]]:

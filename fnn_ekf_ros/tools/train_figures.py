@@ -26,6 +26,8 @@ __all__ = [
 
 MEMBERSHIP_SPAN = 120.0
 """The paper's membership functions are drawn from minus to plus this [their unit]."""
+NEEDLE_SPAN = 2.0
+"""Half width of the picture of the paper's narrow M [their unit]."""
 MEMBERSHIP_SPANS = {MISMATCH: MEMBERSHIP_SPAN, EXPLAINED: 1.5}
 """The same by what they are functions of; mode joint's in log variance."""
 
@@ -79,32 +81,72 @@ def draw_membership(
     """
     figure = new_figure(11.0, 0.6 + 2.9 * len(networks))
     rows = figure.subplots(len(networks), 2, sharex=True, sharey=True, squeeze=False)
-    # A crisp set or a very narrow one must not fall between two points.
-    near = span / 120.0
-    x = np.unique(np.concatenate([np.linspace(-span, span, 1201), np.linspace(-near, near, 401)]))
     for axes, (title, network) in zip(rows, networks.items(), strict=True):
-        for ax, functions, argument in (
-            (axes[0], antecedents(network.sets, x), labels.argument),
-            (axes[1], consequents(network.sets, x), labels.change),
+        x = _universe(span)
+        _plot_sets(axes[0], x, antecedents(network.sets, x))
+        _plot_consequents(axes[1], network.sets, span)
+        unit = labels.unit.format(network=network)
+        for ax, argument, what in (
+            (axes[0], labels.argument, "antecedents"),
+            (axes[1], labels.change, "consequents"),
         ):
-            for (label, value), colour in zip(functions.items(), _COLOURS, strict=True):
-                if value is None:
-                    ax.plot([], [], color=colour, label=label)
-                else:
-                    ax.plot(x, value, color=colour, lw=1.8, label=label)
-            unit = labels.unit.format(network=network)
-            ax.set(xlabel=f"{argument}   [{unit}]", xlim=(-span, span), ylim=(-0.03, 1.05))
-            ax.grid(visible=True, alpha=0.25)
-            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), fontsize="small")
+            ax.set(xlabel=f"{argument}   [{unit}]")
+            ax.set_title(f"{title}: {what}", fontsize="medium", loc="left")
             ax.tick_params(labelbottom=True)
-        if network.sets.decrease_slope == 0.0:
-            axes[1].axvline(network.sets.decrease_center, color=RED, lw=1.8)
-        if network.sets.maintain_width == 0.0:
-            axes[1].axvline(network.sets.maintain_center, color=GREEN, lw=1.8)
         axes[0].set(ylabel="membership")
-        axes[0].set_title(f"{title}: antecedents", fontsize="medium", loc="left")
-        axes[1].set_title(f"{title}: consequents", fontsize="medium", loc="left")
     save(figure, path)
+
+
+def consequents_figure(networks: Mapping[str, FuzzyNetwork], span: float) -> Any:
+    """Return the paper's figure 3 or 4: D, M and I of the change of R, a row for each network.
+
+    The right column enlarges the middle, where the paper's M is a needle.
+
+    Args:
+        networks: by their titles.
+        span: half width of the left pictures [the sets' unit].
+    """
+    figure = new_figure(11.0, 0.8 + 3.0 * len(networks))
+    rows = figure.subplots(len(networks), 2, sharey=True, squeeze=False, width_ratios=(2.4, 1.0))
+    labels = AXES[MISMATCH]
+    for axes, (title, network) in zip(rows, networks.items(), strict=True):
+        for ax, half in ((axes[0], span), (axes[1], NEEDLE_SPAN)):
+            _plot_consequents(ax, network.sets, half)
+            ax.set(xlabel=f"{labels.change}   [{labels.unit.format(network=network)}]")
+        axes[0].set(ylabel="membership")
+        axes[0].set_title(title, fontsize="medium", loc="left")
+        axes[1].set_title("the same around 0", fontsize="medium", loc="left")
+        axes[1].get_legend().remove()
+    return figure
+
+
+def _universe(span: float) -> FloatArray:
+    """Return arguments so dense around 0 that no narrow set falls between two of them."""
+    near = span / 120.0
+    return np.unique(
+        np.concatenate([np.linspace(-span, span, 1201), np.linspace(-near, near, 401)])
+    )
+
+
+def _plot_consequents(ax: Any, sets: FuzzySets, span: float) -> None:
+    """Plot I, M and D over the change from minus to plus `span`; a crisp set as a vertical line."""
+    x = _universe(span)
+    _plot_sets(ax, x, consequents(sets, x))
+    if sets.decrease_slope == 0.0:
+        ax.axvline(sets.decrease_center, color=RED, lw=1.8)
+    if sets.maintain_width == 0.0:
+        ax.axvline(sets.maintain_center, color=GREEN, lw=1.8)
+
+
+def _plot_sets(ax: Any, x: FloatArray, functions: Mapping[str, FloatArray | None]) -> None:
+    for (label, value), colour in zip(functions.items(), _COLOURS, strict=True):
+        if value is None:
+            ax.plot([], [], color=colour, label=label)
+        else:
+            ax.plot(x, value, color=colour, lw=1.8, label=label)
+    ax.set(xlim=(x[0], x[-1]), ylim=(-0.03, 1.05))
+    ax.grid(visible=True, alpha=0.25)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), fontsize="small")
 
 
 def antecedents(sets: FuzzySets, x: FloatArray) -> dict[str, FloatArray | None]:
