@@ -11,9 +11,10 @@ _ROOT = Path(__file__).resolve().parents[1]
 
 def version() -> str:
     """Return the version of the code that runs; in a clone the commit too."""
-    if not (_ROOT / ".git").exists():
+    manifest = _ROOT / "package.xml"
+    if not ((_ROOT / ".git").exists() and manifest.is_file()):
         return _installed()
-    stated = re.search(r"<version>(.*?)</version>", (_ROOT / "package.xml").read_text())
+    stated = re.search(r"<version>(.*?)</version>", manifest.read_text(encoding="utf-8"))
     number = stated[1] if stated else _installed()
     command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty"]
     try:
