@@ -20,6 +20,18 @@ COMMANDS = {
     "train": "train",
     "study": "study",
 }
+# folder, here and below share/fnn_ekf_ros -> its files
+SHARED = {
+    "launch": ["localizer.launch.py", "demo.launch.py"],
+    "config": [
+        "localizer.yaml",
+        "fake_robot.yaml",
+        "faults_example.yaml",
+        "localizer.rviz",
+        "foxglove_layout.json",
+        "plotjuggler_layout.xml",
+    ],
+}
 
 setup(
     name=NAME,
@@ -31,9 +43,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (
-            f"share/{NAME}/config",
-            ["config/localizer.yaml", "config/fake_robot.yaml", "config/faults_example.yaml"],
+        *(
+            (f"share/{NAME}/{folder}", [f"{folder}/{file}" for file in files])
+            for folder, files in SHARED.items()
         ),
     ],
     python_requires=">=3.11",

@@ -6,10 +6,11 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.stopping import exit_by_signal, stop_by_signal
+from fnn_ekf_ros.version import PACKAGE, version
 
 FAILURE = 1
 INTERRUPTED = 130
@@ -55,10 +56,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run `python3 -m fnn_ekf_ros NAME ...`; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
     parser = argparse.ArgumentParser(
-        prog="fnn_ekf_ros",
+        prog=PACKAGE,
         description="Localization of two-wheeled robots by an EKF that finds its own noise.",
         epilog="NAME --help tells more.",
     )
+    _add_version(parser, PACKAGE)
     names = parser.add_subparsers(metavar="NAME", required=True)
     for name, command in COMMANDS.items():
         names.add_parser(name, help=command.summary, add_help=False)
@@ -76,13 +78,19 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
     command = COMMANDS[name]
     try:
         stop_by_signal() if command.stops_by_signal else exit_by_signal()
+        own, ros_arguments = _split(given) if command.is_node else (given, [])
+        # Nodes tell their version without ROS, too: before their module is imported.
+        early = argparse.ArgumentParser(prog=name, add_help=False, allow_abbrev=False)
+        _add_version(early, f"{name} ({PACKAGE})")
+        early.parse_known_args(own)
         summary = f"{command.summary[0].upper()}{command.summary[1:]}."
-        parser = argparse.ArgumentParser(prog=name, description=summary)
+        parser = argparse.ArgumentParser(prog=name, description=summary, parents=[early])
         if command.is_node:
-            parser.usage = "%(prog)s [-h] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
+            parser.usage = (
+                "%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
+            )
         module = importlib.import_module(command.module)
         module.add_arguments(parser)
-        own, ros_arguments = _split(given) if command.is_node else (given, [])
         arguments = parser.parse_args(own)
         return int(module.run(ros_arguments if command.is_node else arguments))
     except FnnEkfError as error:
@@ -94,6 +102,20 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
         # Whoever read the output has gone; keep Python from complaining at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
+
+
+class _Version(argparse.Action):
+    """Prints name and version, which is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        print(f"{self.metavar} {version()}")
+        parser.exit()
+
+
+def _add_version(parser: argparse.ArgumentParser, name: str) -> None:
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, metavar=name, help="show the version and exit"
+    )
 
 
 def _split(argv: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -38,7 +38,7 @@ from fnn_ekf_ros.tools.fault_runs import (
     Run,
     read_run,
 )
-from fnn_ekf_ros.tools.made_by import version
+from fnn_ekf_ros.version import version
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"

@@ -22,6 +22,7 @@ TF = "/tf"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 NOISE_TYPE = "std_msgs/msg/Float64MultiArray"
+NUMBER_TYPE = "std_msgs/msg/Float64"
 TICKS_TYPE = "std_msgs/msg/Int32"
 JOINT_STATES_TYPE = "sensor_msgs/msg/JointState"
 COMPASS_TYPE = "sensor_msgs/msg/Imu"
@@ -76,6 +77,29 @@ The firing strengths by row are R's; in mode `joint` those of the four log scale
 in mode `q`, which has none of R, Q's in the rows of x and compass yaw. Log scales and weights are
 0 in the other modes than `joint`. What is true or false is 1 or 0.
 """
+
+STD_TOPICS = {
+    "measurement_noise_x": "noise/lrf_x_std",
+    "measurement_noise_y": "noise/lrf_y_std",
+    "measurement_noise_lrf_yaw": "noise/lrf_yaw_std",
+    "measurement_noise_compass_yaw": "noise/compass_std",
+    "process_noise_forward": "noise/distance_std",
+    "process_noise_heading": "noise/rotation_std",
+}
+"""Private topic of the square root of a variance in `~/noise` (m, rad), by its field."""
+NIS_TOPICS = ("nis/compass", "nis/lrf_pose")
+"""Private topics of each sensor's NIS per degree of freedom, in the order of the gate."""
+NUMBER_TOPICS = (*STD_TOPICS.values(), *NIS_TOPICS)
+"""Private topics of one number each, published beside `~/noise` to be plotted by name."""
+
+
+def output_topics() -> dict[str, str]:
+    """Return the type of each topic that the localizer publishes with an estimate.
+
+    The names are those of a node before it is remapped: a private one begins with `~/`.
+    """
+    private = {NOISE: NOISE_TYPE, **dict.fromkeys(NUMBER_TOPICS, NUMBER_TYPE)}
+    return {ODOM: ODOMETRY_TYPE, **{f"~/{name}": kind for name, kind in private.items()}}
 
 
 def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:

@@ -12,9 +12,14 @@ from fnn_ekf_ros.core.joint import HYPOTHESES
 from fnn_ekf_ros.messages.names import (
     COMPASS_TYPE,
     DIAGNOSTICS_TYPE,
+    NIS_TOPICS,
+    NOISE,
     NOISE_FIELDS,
     NOISE_TYPE,
+    NUMBER_TYPE,
+    ODOM,
     ODOMETRY_TYPE,
+    STD_TOPICS,
     TF_TYPE,
     TWIST_TYPE,
 )
@@ -168,6 +173,32 @@ def noise(estimate: Estimate) -> Message:
     return Message(
         NOISE_TYPE, {"layout": layout, "data": np.array([float(value) for value in data])}
     )
+
+
+def numbers(estimate: Estimate) -> dict[str, Message]:
+    """Return what is published beside `~/noise` to be plotted by name, by private topic.
+
+    The standard deviations are square roots of R and Q in use (m, rad). A NIS is divided by the
+    degrees of freedom of its sensor; one that measured nothing in the period has none.
+    """
+    state, result = estimate.state, estimate.result
+    in_use = dict(zip(NOISE_FIELDS, [*state.measurement_noise, *state.process_noise], strict=False))
+    values = {topic: math.sqrt(in_use[field]) for field, topic in STD_TOPICS.items()}
+    if result is not None:
+        by_sensor = zip(
+            NIS_TOPICS, result.sensor_nis, result.sensor_degrees_of_freedom, strict=True
+        )
+        values |= {topic: nis / count for topic, nis, count in by_sensor if count > 0}
+    return {topic: Message(NUMBER_TYPE, {"data": float(value)}) for topic, value in values.items()}
+
+
+def estimate_messages(estimate: Estimate, frame_id: str, base_frame: str) -> dict[str, Message]:
+    """Return all that is published with an estimate, by topic as in `output_topics`."""
+    private = {NOISE: noise(estimate), **numbers(estimate)}
+    return {
+        ODOM: odometry(estimate, frame_id, base_frame),
+        **{f"~/{topic}": message for topic, message in private.items()},
+    }
 
 
 def diagnostics(stamp_ns: int, node_name: str, statuses: tuple[Status, ...]) -> Message:

@@ -63,19 +63,16 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
-        self._odom, self._noise, self._diagnostics = (
-            self.create_publisher(
+        outputs = messages.output_topics() | {messages.DIAGNOSTICS: messages.DIAGNOSTICS_TYPE}
+        self._outputs = {
+            topic: self.create_publisher(
                 message_class(type_name),
                 topic,
                 copy.copy(OUTPUT_QOS),
                 qos_overriding_options=overridable,
             )
-            for topic, type_name in (
-                (messages.ODOM, messages.ODOMETRY_TYPE),
-                (f"~/{messages.NOISE}", messages.NOISE_TYPE),
-                (messages.DIAGNOSTICS, messages.DIAGNOSTICS_TYPE),
-            )
-        )
+            for topic, type_name in outputs.items()
+        }
         for topic in messages.input_topics(parameters):
             self.create_subscription(
                 message_class(messages.INPUT_TYPES[topic]),
@@ -130,11 +127,11 @@ class LocalizerNode(Node):  # type: ignore[misc]
     def _publish(self, outputs: Sequence[Output]) -> None:
         for output in outputs:
             if output.estimate is not None:
-                odometry = messages.odometry(
+                made = messages.estimate_messages(
                     output.estimate, self._settings.frame_id, self._settings.base_frame
                 )
-                self._odom.publish(build_message(odometry))
-                self._noise.publish(build_message(messages.noise(output.estimate)))
+                for topic, message in made.items():
+                    self._outputs[topic].publish(build_message(message))
                 if self._transforms is not None:
                     self._transforms.located(output.estimate)
             if output.moved is not None:
@@ -147,7 +144,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 self._log_changes(health)
                 name = self.get_fully_qualified_name().lstrip("/")
                 diagnostics = messages.diagnostics(output.stamp_ns, name, health)
-                self._diagnostics.publish(build_message(diagnostics))
+                self._outputs[messages.DIAGNOSTICS].publish(build_message(diagnostics))
 
     def _log_refusal(self, topic: str, rejected: Rejected) -> None:
         """Log a refused message, of each topic once in a while."""
@@ -205,8 +202,9 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
 
 EPILOG = (
-    f"Listens to {', '.join(messages.INPUT_TYPES)}; publishes odom, ~/noise, /diagnostics; serves "
-    "~/reset, ~/enable_adaptation. Parameters: share/fnn_ekf_ros/config/localizer.yaml lists them; "
+    f"Listens to {', '.join(messages.INPUT_TYPES)}; "
+    f"publishes {', '.join(messages.output_topics())}, /diagnostics; serves ~/reset, "
+    "~/enable_adaptation. Parameters: share/fnn_ekf_ros/config/localizer.yaml lists them; "
     "wheel_radius, wheel_separation and encoder_counts_per_revolution must be set."
 )
 

@@ -28,7 +28,7 @@ class TopicNames:
     def __init__(self, remappings: list[str]) -> None:
         known = {
             messages.absolute_name(topic): topic
-            for topic in (*messages.INPUT_TYPES, messages.ODOM, f"~/{messages.NOISE}")
+            for topic in (*messages.INPUT_TYPES, *messages.output_topics())
         }
         self._to: dict[str, str] = {}
         for text in remappings:
@@ -41,18 +41,24 @@ class TopicNames:
 
     def of(self, topic: str) -> str:
         """Return the absolute name of one of the localizer's topics."""
-        own = f"~/{topic}" if topic == messages.NOISE else topic
-        name = messages.absolute_name(own)
+        name = messages.absolute_name(topic)
         return self._to.get(name, name)
 
-    def check(self, outputs: set[str], inputs: set[str]) -> None:
-        """Check that no two topics share a name.
+    def outputs(self, inputs: set[str]) -> set[str]:
+        """Return the absolute names of what comes with an estimate.
+
+        Args:
+            inputs: absolute names of what the localizer listens to.
 
         Raises:
-            FnnEkfError: remappings put one onto another.
+            FnnEkfError: remappings put one topic onto another.
         """
-        if len(outputs) < 2 or outputs & {*inputs, messages.DIAGNOSTICS}:
-            raise FnnEkfError(f"-r: {', '.join(sorted(outputs))} would share a name with another")
+        own = [self.of(topic) for topic in messages.output_topics()]
+        shared = {name for name in own if own.count(name) > 1}
+        shared |= {*own} & {*inputs, messages.DIAGNOSTICS}
+        if shared:
+            raise FnnEkfError(f"-r: {', '.join(sorted(shared))} would share a name with another")
+        return set(own)
 
 
 def inputs_in(bag: BagReader, parameters: LocalizerParameters, names: TopicNames) -> dict[str, str]:

@@ -48,10 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
         inputs = inputs_in(bag, parameters, names)
-        replaced = {names.of(topic) for topic in (messages.ODOM, messages.NOISE)}
-        names.check(replaced, set(inputs))
-        for topic in replaced & bag.topics.keys():
-            print(f"replay: {topic} of {arguments.bag} is left out: OUT has the new one there")
+        replaced = names.outputs(set(inputs))
+        if old := sorted(replaced & bag.topics.keys()):
+            print(f"replay: {', '.join(old)} of {arguments.bag} left out: OUT has new ones there")
         notes = {
             NODE_NAME: render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME)
         }
@@ -145,9 +144,9 @@ def _write(
     """Write what a closed period gives; returns the number of odom messages."""
     estimate = output.estimate
     if estimate is not None:
-        odometry = messages.odometry(estimate, parameters.frame_id, parameters.base_frame)
-        out.write(names.of(messages.ODOM), odometry, time_ns)
-        out.write(names.of(messages.NOISE), messages.noise(estimate), time_ns)
+        made = messages.estimate_messages(estimate, parameters.frame_id, parameters.base_frame)
+        for topic, message in made.items():
+            out.write(names.of(topic), message, time_ns)
     if output.health is not None:
         diagnostics = messages.diagnostics(output.stamp_ns, NODE_NAME, output.health)
         out.write(messages.DIAGNOSTICS, diagnostics, time_ns)

@@ -40,9 +40,10 @@ from fnn_ekf_ros.tools import (
     study_tables,
 )
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
-from fnn_ekf_ros.tools.made_by import make_folder, version
 from fnn_ekf_ros.tools.progress import with_progress
+from fnn_ekf_ros.tools.result_folder import make_folder
 from fnn_ekf_ros.tools.simulate import matching_localizer
+from fnn_ekf_ros.version import version
 
 SET_BY_STUDY = {
     "wheel_radius", "wheel_separation", "gear_ratio", "encoder_counts_per_revolution", "period",

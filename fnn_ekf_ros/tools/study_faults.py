@@ -34,10 +34,11 @@ from fnn_ekf_ros.study.fault_naming import (
 from fnn_ekf_ros.study.starts import CORNERS, RIGHT, Cell
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
-from fnn_ekf_ros.tools.made_by import make_folder, version
 from fnn_ekf_ros.tools.progress import with_progress
+from fnn_ekf_ros.tools.result_folder import make_folder
 from fnn_ekf_ros.tools.simulate import matching_localizer
 from fnn_ekf_ros.tools.study_tables import plain, start_words, table
+from fnn_ekf_ros.version import version
 
 NAME = "faults"
 SUMMARY = "faults of one sensor at a time: whom diagnostics name, and how soon"

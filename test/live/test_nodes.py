@@ -1,6 +1,7 @@
 """The nodes as a user runs them: processes, topics, parameters, services, signals."""
 
 import itertools
+import math
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -19,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from fnn_ekf_ros import messages
@@ -109,6 +110,9 @@ def test_fake_robot_and_localizer_without_launch(
     odom = listener.collect(Odometry, "odom")
     truth = listener.collect(Odometry, "ground_truth")
     noise = listener.collect(Float64MultiArray, "localizer/noise")
+    numbers = {
+        topic: listener.collect(Float64, f"localizer/{topic}") for topic in messages.NUMBER_TOPICS
+    }
     diagnostics = listener.collect(DiagnosticArray, "/diagnostics")
     patience = ["-p", "encoder_timeout:=60.0", "-p", "history:=10.0"]
     localizer = processes.start(
@@ -117,6 +121,8 @@ def test_fake_robot_and_localizer_without_launch(
     )  # fmt: skip
     robot = processes.start("fake_robot", *ROBOT, "-p", "path:=figure_eight")
     patiently(lambda: listener.spin() or len(with_truth(odom, truth)) >= 40, "40 odom and truth")
+    beside = [noise, *numbers.values()]
+    patiently(lambda: listener.spin() or min(map(len, beside)) >= 10, "the noise and its numbers")
     processes.stop(localizer, ending)
     processes.stop(robot, ending)
 
@@ -133,6 +139,8 @@ def test_fake_robot_and_localizer_without_launch(
         np.testing.assert_array_equal(np.diag(covariance)[2:5], 1e-9)
         assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
     assert all(len(message.data) == len(messages.NOISE_FIELDS) for message in noise)
+    roots = {math.sqrt(message.data[0]) for message in noise}
+    assert numbers["noise/lrf_x_std"][-2].data in roots
     assert noise[0].layout.dim[0].label.split(",") == list(messages.NOISE_FIELDS)
     names = {status.name for message in diagnostics for status in message.status}
     parts = ("encoders", "compass", "lrf_pose", "filter", "time")

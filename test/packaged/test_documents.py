@@ -10,7 +10,7 @@ from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.joint import STANDSTILL
-from fnn_ekf_ros.messages import NOISE_FIELDS
+from fnn_ekf_ros.messages import NIS_TOPICS, NOISE_FIELDS, NUMBER_TOPICS, STD_TOPICS
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import FAULTS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -183,6 +183,26 @@ def test_the_table_of_noise_has_each_number_once() -> None:
         ("rejected_compass", "rejected the compass"), ("relocated", "moved"),
     ):  # fmt: skip
         assert word in meaning[NOISE_FIELDS.index(name)], name
+
+
+def test_the_table_of_numbers_to_plot_has_each_topic_once_with_its_number() -> None:
+    _, _, table = (ROOT / "docs" / "diagnostics.md").read_text().partition("| topic | number |")
+    rows = re.findall(r"^\| (`~/.*?`) \| (.*) \|$", table, flags=re.MULTILINE)
+    topics = [re.findall(r"`~/([\w/]+)`", cell) for cell, _ in rows]
+    assert sorted(topic for row in topics for topic in row) == sorted(NUMBER_TOPICS)
+    numbers = {topic: field for field, topic in STD_TOPICS.items()} | {
+        topic: topic.replace("/", "_") for topic in NIS_TOPICS
+    }
+    for row, (_, words) in zip(topics, rows, strict=True):
+        found = re.search(r"(?:roots? of|\(number) ([\d, ]+)", words)
+        assert found is not None, words
+        indices = [NOISE_FIELDS.index(numbers[topic]) for topic in row]
+        assert [int(index) for index in found[1].strip().split(", ")] == indices, words
+    readme = flat("README.md")
+    assert len(NUMBER_TOPICS) == 8
+    assert "eight of its numbers, to plot by name" in readme
+    (row_of_readme,) = re.findall(r"\| (`~/noise/.*?) \(out\) \|", readme)
+    assert set(re.findall(r"`~/([\w/]+)`", row_of_readme)) <= set(NUMBER_TOPICS)
 
 
 def test_time_has_the_defaults_and_limits_of_the_code() -> None:

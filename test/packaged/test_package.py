@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from catkin_pkg.package import parse_package
@@ -18,12 +19,12 @@ from fnn_ekf_ros.parameters.schema import fields_of
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def commands_of_setup() -> dict[str, str]:
-    """Return the executables that setup.py declares: name to function."""
+def assigned_in_setup(name: str) -> dict[str, Any]:
+    """Return a table of setup.py: COMMANDS, name to function, or SHARED, folder to files."""
     for node in ast.parse((ROOT / "setup.py").read_text()).body:
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "COMMANDS":
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == name:
             return dict(ast.literal_eval(node.value))
-    raise AssertionError("setup.py has no COMMANDS")
+    raise AssertionError(f"setup.py has no {name}")
 
 
 def test_the_manifest_is_valid() -> None:
@@ -34,7 +35,7 @@ def test_the_manifest_is_valid() -> None:
 
 
 def test_every_executable_is_declared_and_has_its_function() -> None:
-    declared = commands_of_setup()
+    declared = assigned_in_setup("COMMANDS")
     assert declared.keys() == cli.COMMANDS.keys()
     for name, function in declared.items():
         assert getattr(cli, function).args == (name,)
@@ -70,8 +71,9 @@ def test_plain_pip_installs_a_package_that_runs(tmp_path: Path) -> None:
         capture_output=True,
     )  # fmt: skip
     shared = target / "share"
-    for name in ("localizer", "fake_robot", "faults_example"):
-        assert (shared / "fnn_ekf_ros" / "config" / f"{name}.yaml").is_file()
+    for folder, files in assigned_in_setup("SHARED").items():
+        for name in files:
+            assert (shared / "fnn_ekf_ros" / folder / name).is_file()
     assert (shared / "ament_index" / "resource_index" / "packages" / "fnn_ekf_ros").is_file()
     environment = {**os.environ, "PYTHONPATH": str(target)}
     for arguments in (["simulate", "run", "--duration", "5"], ["replay", "run", "out",

@@ -5,6 +5,7 @@ import graphlib
 import os
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,9 +13,12 @@ from pathlib import Path
 import pytest
 
 import fnn_ekf_ros
+from fnn_ekf_ros import cli
+from fnn_ekf_ros.version import version
 
 PACKAGE = Path(str(fnn_ekf_ros.__file__)).resolve().parent
 ROOT = PACKAGE.parent
+SOURCE = Path(__file__).resolve().parents[2]
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(PACKAGE.rglob("*.py"))
@@ -27,6 +31,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "text_files": {"errors"},
     "yaml_text": {"errors"},
     "stopping": set(),
+    "version": set(),
     "core": set(),
     "parameters": {"core", "errors", "text_files", "yaml_text"},
     "membership": {"core", "errors", "parameters", "text_files", "yaml_text"},
@@ -43,13 +48,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "bag_files": {"errors", "messages", "work_folders"},
     "tools": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
-        "saved_state", "simulation", "study", "text_files", "training", "yaml_text",
+        "saved_state", "simulation", "study", "text_files", "training", "version", "yaml_text",
     },
     "ros": {
         "bag_files", "core", "errors", "membership", "messages", "parameters", "pipeline",
         "saved_state", "simulation", "stopping", "text_files", "tools", "yaml_text",
     },
-    "cli": {"errors", "stopping"},
+    "cli": {"errors", "stopping", "version"},
     "__main__": {"cli"},
 }  # fmt: skip
 PURE_STDLIB = {"collections", "dataclasses", "enum", "functools", "itertools", "math", "typing"}
@@ -220,6 +225,36 @@ def test_nodes_without_ros_say_so_in_one_line(without_ros: str, name: str) -> No
     assert (ended.returncode, ended.stdout) == (1, "")
     assert ended.stderr.startswith(f"{name}: ROS 2 is not here")
     assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["", *cli.COMMANDS])
+def test_every_command_tells_its_version_without_ros(without_ros: str, name: str) -> None:
+    ended = python("", "-m", "fnn_ekf_ros", *filter(None, [name]), "--version", path=without_ros)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    asked = f"{name} (fnn_ekf_ros)" if name else "fnn_ekf_ros"
+    assert ended.stdout == f"{asked} {version()}\n"
+
+
+def test_the_version_is_that_of_the_manifest_and_in_a_clone_tells_the_commit() -> None:
+    number, *commit = version().split(", commit ")
+    assert number == ElementTree.parse(SOURCE / "package.xml").findtext("version")
+    said = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True)
+    assert bool(commit) == ((ROOT / ".git").exists() and said.returncode == 0)
+    for described in commit:
+        assert said.stdout.startswith(described.removesuffix("-dirty").rpartition("-g")[2])
+
+
+@pytest.mark.parametrize("name", ["localizer", "play"])
+def test_the_version_is_not_looked_up_for_anything_else(name: str) -> None:
+    code = (
+        "import fnn_ekf_ros.cli as cli\n"
+        "def fail(): raise AssertionError\n"
+        "cli.version = fail\n"
+        f"cli.run_command('{name}', ['--help'])\n"
+    )
+    ended = python(code)
+    assert ended.returncode == 0, ended.stderr
+    assert "--version" in ended.stdout
 
 
 def test_the_package_lists_its_commands() -> None:

@@ -133,6 +133,65 @@ def test_noise_numbers_tell_what_fired(
         np.testing.assert_array_equal(data[20:32], np.ravel(rows))
 
 
+def test_numbers_to_plot_are_the_roots_of_the_noise_in_use(
+    estimates: list[Estimate], as_object: Callable[[Message], Any]
+) -> None:
+    for estimate in (estimates[0], estimates[-1]):
+        made = messages.numbers(estimate)
+        assert {message.type_name for message in made.values()} == {"std_msgs/msg/Float64"}
+        values = {topic: as_object(message).data for topic, message in made.items()}
+        R, Q = estimate.state.measurement_noise, estimate.state.process_noise
+        x, y, compass, lrf_yaw = np.sqrt(R)
+        distance, rotation = np.sqrt(Q)
+        expected = {
+            "noise/lrf_x_std": x, "noise/lrf_y_std": y, "noise/lrf_yaw_std": lrf_yaw,
+            "noise/compass_std": compass, "noise/distance_std": distance,
+            "noise/rotation_std": rotation,
+        }  # fmt: skip
+        assert {t: v for t, v in values.items() if t.startswith("noise/")} == expected
+        assert all(type(value) is float for value in values.values())
+    assert len(np.unique(np.round([*R, *Q], 9))) >= 5  # or a swap would not be seen
+
+
+def test_a_nis_to_plot_is_per_degree_of_freedom_and_only_of_what_was_measured(
+    make_pipeline: Any, feed: Any, simulated: Any, as_object: Callable[[Message], Any]
+) -> None:
+    """A compass that is silent for some periods, then fixes, then both."""
+    silent = {CompassYaw: (8.0, 12.0, 18.0, 20.0), PoseFix: (14.0, 20.0)}
+
+    def heard(now_ns: int, event: Any) -> bool:
+        return sum(now_ns > s * 1e9 for s in silent.get(type(event), ())) % 2 == 0
+
+    arrivals = [arrival for arrival in simulated(11, 25.0).arrivals if heard(*arrival)]
+    outputs = feed(make_pipeline(), arrivals)
+    start, *later = (output.estimate for output in outputs if output.estimate is not None)
+    assert not set(messages.numbers(start)) & set(messages.NIS_TOPICS)
+    seen = set()
+    for estimate in later:
+        made = messages.numbers(estimate)
+        fix, _, yaw, _ = map(bool, estimate.result.available)
+        assert [topic in made for topic in ("nis/compass", "nis/lrf_pose")] == [yaw, fix]
+        if yaw:
+            assert as_object(made["nis/compass"]).data == estimate.result.sensor_nis[0]
+        if fix:
+            assert as_object(made["nis/lrf_pose"]).data == estimate.result.sensor_nis[1] / 2.0
+        seen.add((fix, yaw))
+    assert len(seen) == 4
+
+
+def test_what_is_published_with_an_estimate_is_what_is_announced(estimates: list[Estimate]) -> None:
+    announced = messages.output_topics()
+    assert set(announced) == {
+        "odom", "~/noise", *(f"~/{topic}" for topic in messages.NUMBER_TOPICS),
+    }  # fmt: skip
+    published: dict[str, str] = {}
+    for estimate in estimates:
+        made = messages.estimate_messages(estimate, "map", "base_link")
+        published |= {topic: message.type_name for topic, message in made.items()}
+    assert published == announced
+    assert messages.absolute_name("~/noise/lrf_x_std") == "/localizer/noise/lrf_x_std"
+
+
 @pytest.mark.parametrize("mode", ["none", "joint"])
 def test_noise_numbers_tell_what_the_gate_did(
     make_pipeline: Any, feed: Any, simulated: Any, arrival: Any, as_object: Any, mode: str

@@ -130,18 +130,21 @@ def test_replay_copies_all_and_adds_its_own(
 ) -> None:
     out = tmp_path / "out"
     said = succeed("replay", recorded, out, "--params", parameters_of(recorded))
-    own = {"/odom", "/localizer/noise", "/diagnostics"}
+    numbers = {f"/localizer/{topic}" for topic in messages.NUMBER_TOPICS}
+    own = {"/odom", "/localizer/noise", "/diagnostics", *numbers}
     added = [r for r in records(out) if r.topic in own]
     assert [r for r in records(out) if r.topic not in own] == records(recorded)
     kinds = {r.topic: r.type_name for r in added}
     assert kinds == {
         "/odom": "nav_msgs/msg/Odometry", "/localizer/noise": "std_msgs/msg/Float64MultiArray",
         "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+        **dict.fromkeys(numbers, "std_msgs/msg/Float64"),
     }  # fmt: skip
     with BagReader(out) as bag:
         odoms = [bag.message(r) for r in added if r.topic == "/odom"]
         noises = [bag.message(r) for r in added if r.topic == "/localizer/noise"]
         health = [bag.message(r) for r in added if r.topic == "/diagnostics"]
+        stds = [bag.message(r).data for r in added if r.topic == "/localizer/noise/lrf_x_std"]
     assert len(odoms) == len(noises) == pytest.approx(15.0 / 0.375, abs=3)
     assert f": {len(odoms)} odom from " in said
     assert {messages.stamp_ns(odom) % 375_000_000 for odom in odoms} == {0}
@@ -150,6 +153,7 @@ def test_replay_copies_all_and_adds_its_own(
         f"localizer: {part}" for part in ("encoders", "compass", "lrf_pose", "filter", "time")
     }
     assert {len(m.data) for m in noises} == {len(messages.NOISE_FIELDS)}
+    np.testing.assert_allclose(np.square(stds), [m.data[0] for m in noises], rtol=1e-12)
 
 
 def test_replay_gives_what_the_pipeline_gives(
@@ -185,8 +189,13 @@ def test_replay_gives_what_the_pipeline_gives(
 def test_replaying_a_replay_changes_nothing(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
-    for source, name in ((recorded, "one"), (tmp_path / "one", "two")):
+    said = [
         succeed("replay", source, tmp_path / name, "--params", parameters_of(recorded))
+        for source, name in ((recorded, "one"), (tmp_path / "one", "two"))
+    ]
+    assert "left out" not in said[0]
+    left_out = said[1].splitlines()[0].removeprefix("replay: ").partition(" of ")[0].split(", ")
+    assert left_out == sorted(map(messages.absolute_name, messages.output_topics()))
     assert records(tmp_path / "one") == records(tmp_path / "two")
 
 
@@ -274,6 +283,19 @@ def test_replay_remaps_topics(tmp_path: Path, recorded: Path, succeed: Succeed) 
     )  # fmt: skip
     plain = [r.data for r in records(tmp_path / "plain", "/odom")]
     assert [r.data for r in records(tmp_path / "out", "/robot/odom")] == plain
+
+
+def test_replay_remaps_each_of_its_topics(
+    tmp_path: Path, recorded: Path, succeed: Succeed, refuse: Refuse
+) -> None:
+    words = ["--params", parameters_of(recorded)]
+    succeed("replay", recorded, tmp_path / "out", *words, "-r", "~/nis/compass:=nis")
+    names = {record.topic for record in records(tmp_path / "out")}
+    assert "/nis" in names
+    assert "/localizer/nis/compass" not in names
+    for pair in ("~/nis/compass:=odom", "~/noise/lrf_x_std:=/compass", "~/noise:=/diagnostics"):
+        line = refuse("replay", recorded, tmp_path / "o", *words, "-r", pair)
+        assert f"-r: {messages.absolute_name(pair.partition(':=')[2])} would share a name" in line
 
 
 def test_replay_of_wheels_only_starts_and_then_drifts(

@@ -1,0 +1,31 @@
+"""Which version of the package this is."""
+
+import importlib.metadata
+import re
+import subprocess
+from pathlib import Path
+
+PACKAGE = "fnn_ekf_ros"
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+def version() -> str:
+    """Return the version of the code that runs; in a clone the commit too."""
+    manifest = _ROOT / "package.xml"
+    if not ((_ROOT / ".git").exists() and manifest.is_file()):
+        return _installed()
+    stated = re.search(r"<version>(.*?)</version>", manifest.read_text(encoding="utf-8"))
+    number = stated[1] if stated else _installed()
+    command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty"]
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    except (OSError, subprocess.CalledProcessError):
+        return number
+    return f"{number}, commit {said.stdout.strip()}"
+
+
+def _installed() -> str:
+    try:
+        return importlib.metadata.version(PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
