@@ -39,7 +39,7 @@ NO_GATE: dict[str, Any] = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 """Parameters of a filter that takes every reading, as the paper's does."""
 SET_BY_NAMES = frozenset({"adaptation", "membership_file", "process_membership_file"})
 """Parameters that the filters' names decide."""
-PAPER, CENTROID = "rq_published", "rq_centroid"
+PAPER, PAPER_TRAINED, CENTROID = "rq_published", "rq_trained", "rq_centroid"
 
 
 class LocalizerFilter(NamedTuple):

@@ -38,6 +38,7 @@ from fnn_ekf_ros.tools import (
     study_paper_figures,
     study_real,
     study_tables,
+    study_words,
 )
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.progress import with_progress
@@ -64,6 +65,7 @@ class Study(NamedTuple):
         paths: of the fake robot, whose settings are written down.
         trial_count: how many.
         trials: yields them.
+        words: what the numbers show.
         tables: the results in Markdown.
         figures: draws them into a folder.
         left_out: filters that run only when they are named.
@@ -75,6 +77,7 @@ class Study(NamedTuple):
     paths: tuple[str, ...]
     trial_count: int
     trials: Callable[[Size, StudyFilter], Iterator[Trial]]
+    words: Callable[[Sequence[Outcome], study_tables.Labels], str]
     tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
     figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
     left_out: tuple[str, ...] = (DEAD_RECKONING, BANK, CENTROID)
@@ -91,19 +94,19 @@ STUDIES = {
     "paper": Study(
         "the paper's simulations and experiment, with its figures",
         tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
-        _paper_tables, study_paper_figures.draw_paper, left_out=(),
+        study_words.paper_words, _paper_tables, study_paper_figures.draw_paper, left_out=(),
         always=(EKF, PAPER),
         defaults=MappingProxyType({"motion_model": "paper"}),
     ),
     "grid": Study(
         "both simulations from 25 starts with wrong noise",
         tuple(grid.SIMULATIONS), len(grid.SIMULATIONS), grid.trials,
-        study_tables.grid_tables, study_figures.draw_grid,
+        study_words.grid_words, study_tables.grid_tables, study_figures.draw_grid,
     ),
     "dynamic": Study(
         "noise that changes, and errors that are no white noise",
         (dynamic.PATH,), len(dynamic.CASES), dynamic.trials,
-        study_tables.dynamic_tables, study_figures.draw_dynamic,
+        study_words.dynamic_words, study_tables.dynamic_tables, study_figures.draw_dynamic,
     ),
 }  # fmt: skip
 
@@ -177,7 +180,12 @@ def run(arguments: argparse.Namespace) -> int:
     labels = {name: each.label for name, each in filters.items()}
     content = {**made_by, "results": study_tables.rows(outcomes)}
     write_text(numbers, json.dumps(content, indent=1, allow_nan=False) + "\n")
-    write_text(out / "results.md", study_tables.head(made_by) + study.tables(outcomes, labels))
+    parts = (
+        study_tables.head(made_by),
+        study.words(outcomes, labels),
+        study.tables(outcomes, labels),
+    )
+    write_text(out / "results.md", "\n".join(parts))
     study.figures(out, outcomes, labels)
     print(f"{out}: {study.trial_count} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
     print(f"{out / 'results.md'}: the tables")

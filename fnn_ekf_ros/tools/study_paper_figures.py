@@ -55,7 +55,7 @@ class View(NamedTuple):
 
     steps: Callable[[int], slice]
     center: tuple[float, float] | None = None
-    half_size: tuple[float, float] = (0.7, 0.7)
+    half_size: tuple[float, float] = (0.8, 0.8)
 
 
 class PaperFigure(NamedTuple):
@@ -196,7 +196,7 @@ def _tracks(trial: str, view: View, outcomes: Sequence[Outcome], labels: Labels)
     size = np.ptp(truth[steps, :2], axis=0) if view.center is None else view.half_size
     width, height = (float(side) for side in size)
     flat = width > 2.0 * height
-    figure = new_figure(12.0, 9.0 if flat else 1.9 + 3.8 * height / width, fixed_aspect=True)
+    figure = new_figure(12.0, 9.0 if flat else 1.25 + 3.75 * height / width, fixed_aspect=True)
     count = len(paper.STARTS)
     panels = figure.subplots(
         *((count, 1) if flat else (1, count)), sharex=True, sharey=True, squeeze=False
@@ -239,7 +239,7 @@ def _rmse(trial: str, axis: str, outcomes: Sequence[Outcome], labels: Labels) ->
         panel.set(ylim=(0.0, None), ylabel=f"RMSE in {axis} [{ERROR_UNITS[axis]}]")
         panel.grid(visible=True, alpha=0.25)
     panels[-1].set_xlabel("time [s]")
-    panels[-1].set_xlim(0.0, None)
+    panels[-1].set_xlim(0.0, NOMINAL_PERIOD_S * len(_outcome(outcomes, trial, EKF).rms))
     _legend_below(figure)
     runs = "RMSE over the runs at each step, not smoothed"
     figure.suptitle(f"{_title(trial)}: {runs}", fontsize=11)

@@ -1,6 +1,6 @@
 """Pictures of learning: the paper's figures 3 and 4, the learned rule, the loss."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,20 +38,27 @@ class Axes(NamedTuple):
     Attributes:
         argument: label of the antecedents.
         change: label of the consequents.
-        unit: label of the unit, a format that is given the `network`.
+        unit: returns the label of a network's unit.
     """
 
     argument: str
     change: str
-    unit: str
+    unit: Callable[[FuzzyNetwork], str]
+
+
+def _squares(network: FuzzyNetwork) -> str:
+    """Return the units of the paper's networks, position and yaw, in words."""
+    sizes = (network.position_unit * 1e6, network.yaw_unit * 1e6)
+    position, yaw = ("" if size == 1.0 else f"{size:.3g} " for size in sizes)
+    return f"{position}mm² or {yaw}mrad²"
 
 
 AXES = {
     MISMATCH: Axes(
         r"$-D = \hat{C} - S$", r"$\Delta R$",
-        "{network.position_unit:.3g} m² or {network.yaw_unit:.3g} rad²",
+        _squares,
     ),
-    EXPLAINED: Axes("u, what the evidence asks for", r"$\Delta\theta$", "log variance"),
+    EXPLAINED: Axes("u, what the evidence asks for", r"$\Delta\theta$", lambda _: "log variance"),
 }  # fmt: skip
 """By what the membership functions are functions of."""
 JOINT_SPAN = 3.0
@@ -85,7 +92,7 @@ def draw_membership(
         x = _universe(span)
         _plot_sets(axes[0], x, antecedents(network.sets, x))
         _plot_consequents(axes[1], network.sets, span)
-        unit = labels.unit.format(network=network)
+        unit = labels.unit(network)
         for ax, argument, what in (
             (axes[0], labels.argument, "antecedents"),
             (axes[1], labels.change, "consequents"),
@@ -100,7 +107,7 @@ def draw_membership(
 def consequents_figure(networks: Mapping[str, FuzzyNetwork], span: float) -> Any:
     """Return the paper's figure 3 or 4: D, M and I of the change of R, a row for each network.
 
-    The right column enlarges the middle, where the paper's M is a needle.
+    The right column enlarges the surroundings of M, which is a needle in the paper.
 
     Args:
         networks: by their titles.
@@ -110,12 +117,13 @@ def consequents_figure(networks: Mapping[str, FuzzyNetwork], span: float) -> Any
     rows = figure.subplots(len(networks), 2, sharey=True, squeeze=False, width_ratios=(2.4, 1.0))
     labels = AXES[MISMATCH]
     for axes, (title, network) in zip(rows, networks.items(), strict=True):
-        for ax, half in ((axes[0], span), (axes[1], NEEDLE_SPAN)):
-            _plot_consequents(ax, network.sets, half)
-            ax.set(xlabel=f"{labels.change}   [{labels.unit.format(network=network)}]")
+        middle = network.sets.maintain_center
+        for ax, center, half in ((axes[0], 0.0, span), (axes[1], middle, NEEDLE_SPAN)):
+            _plot_consequents(ax, network.sets, half, center)
+            ax.set(xlabel=f"{labels.change}   [{labels.unit(network)}]")
         axes[0].set(ylabel="membership")
         axes[0].set_title(title, fontsize="medium", loc="left")
-        axes[1].set_title("the same around 0", fontsize="medium", loc="left")
+        axes[1].set_title("the same around M", fontsize="medium", loc="left")
         axes[1].get_legend().remove()
     return figure
 
@@ -128,11 +136,11 @@ def _universe(span: float) -> FloatArray:
     )
 
 
-def _plot_consequents(ax: Any, sets: FuzzySets, span: float) -> None:
-    """Plot I, M and D over the change from minus to plus `span`; a crisp set as a vertical line."""
-    x = _universe(span)
+def _plot_consequents(ax: Any, sets: FuzzySets, span: float, center: float = 0.0) -> None:
+    """Plot I, M and D over changes `span` to each side of `center`; a crisp set is a line."""
+    x = center + _universe(span)
     _plot_sets(ax, x, consequents(sets, x))
-    if sets.decrease_slope == 0.0:
+    if sets.decrease_slope == 0.0 and abs(sets.decrease_center - center) <= span:
         ax.axvline(sets.decrease_center, color=RED, lw=1.8)
     if sets.maintain_width == 0.0:
         ax.axvline(sets.maintain_center, color=GREEN, lw=1.8)
