@@ -195,7 +195,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         else:
             response.message = (
                 f"adaptation is 'none': `ros2 param set {self.get_fully_qualified_name()} "
-                "adaptation joint` (or r, q) first"
+                "adaptation joint` (or rq, r, q) first"
             )
         self.get_logger().info(response.message)
         return response

@@ -150,7 +150,7 @@ SUBJECTS = {
         _joint,
     ),
 }
-"""`--network`: the paper's network for modes r and q, and the one of mode joint."""
+"""`--network`: the paper's network for modes r, q and rq, and the one of mode joint."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -170,7 +170,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="file to write")
     parser.add_argument(
         "--network", choices=tuple(SUBJECTS), default="paper",
-        help="what learns: the network of modes r and q, or that of mode joint (paper)",
+        help="what learns: the network of modes r, q and rq, or that of mode joint (paper)",
     )  # fmt: skip
     parser.add_argument(
         "--initial", metavar="NAME",

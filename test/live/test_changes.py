@@ -106,7 +106,7 @@ def test_adaptation_none_is_mended_by_the_parameter(bench: MakeBench) -> None:
     refused = opened.call(SetBool, name, SetBool.Request(data=True))
     assert not refused.success
     assert refused.message == (
-        "adaptation is 'none': `ros2 param set /localizer adaptation joint` (or r, q) first"
+        "adaptation is 'none': `ros2 param set /localizer adaptation joint` (or rq, r, q) first"
     )
     assert set_one(opened, adaptation="joint") == (True, "")
     enabled = opened.call(SetBool, name, SetBool.Request(data=True))

@@ -181,6 +181,7 @@ def test_the_table_of_noise_has_each_number_once() -> None:
         ("firing_increase_x", "firing"), ("log_scale_forward", "log of the variance"),
         ("weight_start", "weights of the hypotheses"), ("nis_compass", "NIS of the compass"),
         ("rejected_compass", "rejected the compass"), ("relocated", "moved"),
+        ("firing_increase_process_forward", "of Q's rules"),
     ):  # fmt: skip
         assert word in meaning[NOISE_FIELDS.index(name)], name
 
@@ -221,7 +222,10 @@ def test_the_readme_has_the_defaults_of_the_code() -> None:
     for names, shown in (
         ("max_wheel_speed", f"{defaults['max_wheel_speed']}"),
         ("process_noise_std", f"[{way:g}, {turn:.4f}]"),
-        ("measurement_noise_std", str(list(defaults["measurement_noise_std"]))),
+        (
+            "measurement_noise_std",
+            "[{:g}, {:g}, {:.4g}]".format(*defaults["measurement_noise_std"]),
+        ),
         ("adaptation", defaults["adaptation"]),
         ("compass_gate, lrf_pose_gate", f"{defaults['compass_gate']:.0e}".replace("e-0", "e-")),
         (
