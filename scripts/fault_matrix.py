@@ -12,9 +12,12 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from typing import Any
 
 from faults.processes import run_row
 from faults.recordings import Recordings, chosen, code_version
@@ -29,6 +32,8 @@ from fnn_ekf_ros.tools.fault_runs import Row
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
 FAILURE, INTERRUPTED = 1, 130
+SPAWN = multiprocessing.get_context("spawn")
+"""How processes are started: rclpy does not survive a fork."""
 RATE, TICKS_SHARE = 6.0, 0.5
 """Times real time at first; ticks, which are stamped on arrival, suffer from a hurry: so much of
 it."""
@@ -59,6 +64,34 @@ def tried(row: Row, domain: int, rate: float, made_by: str) -> str:
     return reason
 
 
+def send_outcome(sender: Connection, *task: Any) -> None:
+    """Run a row in this process and send what was wrong."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command ends this process by SIGTERM
+    exit_by_signal()
+    try:
+        reason = tried(*task)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+    sender.send(reason)
+
+
+def in_a_process(started: list[SpawnProcess], *task: Any) -> str:
+    """Run a row in a process of its own; return what was wrong, or nothing."""
+    receiver, sender = SPAWN.Pipe(duplex=False)
+    process = SPAWN.Process(target=send_outcome, args=(sender, *task))
+    process.start()
+    started.append(process)
+    sender.close()
+    try:
+        return str(receiver.recv())
+    except EOFError:
+        process.join()
+        return f"its process ended with {process.exitcode}"
+    finally:
+        process.join()
+        receiver.close()
+
+
 def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[str]:
     """Run rows, each in a process and on a domain of its own; show progress.
 
@@ -67,15 +100,15 @@ def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[s
     """
     began = time.monotonic()
     failed = []
-    spawn = multiprocessing.get_context("spawn")  # rclpy does not survive a fork
-    with ProcessPoolExecutor(jobs, mp_context=spawn, max_tasks_per_child=1) as pool:
+    started: list[SpawnProcess] = []
+    with ThreadPoolExecutor(jobs) as pool:
         waiting = {
-            pool.submit(tried, row, os.getpid() + number, rate, made_by): row
+            pool.submit(in_a_process, started, row, os.getpid() + number, rate, made_by): row
             for number, row in enumerate(rows)
         }
         try:
             for done, future in enumerate(as_completed(waiting), start=1):
-                row, reason = waiting[future], outcome(future)
+                row, reason = waiting[future], future.result()
                 if reason:
                     failed.append(row.name)
                 seconds = time.monotonic() - began
@@ -83,19 +116,10 @@ def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[s
                 print(f"{done:3d} of {len(rows)}, {seconds:4.0f} s: {row.name}{said}", flush=True)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for worker in multiprocessing.active_children():
-                if worker.pid is not None:
-                    os.kill(worker.pid, signal.SIGINT)
+            for process in started:
+                process.terminate()
             raise
     return failed
-
-
-def outcome(future: Future[str]) -> str:
-    """Return what was wrong with a row, also where its process died of it."""
-    try:
-        return future.result()
-    except Exception as error:
-        return f"{type(error).__name__}: {error}"
 
 
 def rows_to_run(arguments: argparse.Namespace, recordings: Recordings, made_by: str) -> list[Row]:

@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -93,14 +92,14 @@ class Matrix:
 def matrix(tmp_path: Path, bag: Path, monkeypatch: pytest.MonkeyPatch) -> Matrix:
     made = Matrix(tmp_path, bag)
 
-    def pool(jobs: int, **_: Any) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(jobs)
+    def in_this_process(_: object, *task: Any) -> str:
+        return fault_matrix.tried(*task)
 
     monkeypatch.setenv("ROS_DOMAIN_ID", "1")  # put back what tried() sets
     for name, value in (
         ("OUT", made.out), ("TABLE", made.table), ("ROWS", ALL),
         ("UNDISTURBED", {False: NO_FAULT, True: NO_FAULT}), ("run_row", made.run_row),
-        ("code_version", lambda _: made.code), ("ProcessPoolExecutor", pool),
+        ("code_version", lambda _: made.code), ("in_a_process", in_this_process),
         ("exit_by_signal", lambda: None), ("ROOT", Path(fnn_ekf_ros.__file__).parents[1]),
     ):  # fmt: skip
         monkeypatch.setattr(fault_matrix, name, value)
@@ -194,46 +193,47 @@ def test_a_row_that_does_not_run_takes_no_good_ones_place(
     assert matrix.untouched()
 
 
-def test_an_error_nobody_thought_of_is_one_rows_only(
-    matrix: Matrix, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def broken() -> None:
-        raise ZeroDivisionError("ouch")
+class Deadly:
+    """No row: the process that is given it dies."""
 
-    matrix.trouble[KIDNAP.name] = broken
-    assert main([]) == 1
-    assert "ZeroDivisionError: ouch" in capsys.readouterr().out
-    assert matrix.notes() == [CODE, "", CODE, CODE]
-    assert matrix.untouched()
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os._exit, (3,)
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [(None, "AttributeError: 'NoneType'"), (Deadly(), "its process ended with 3")],
+)
+def test_a_process_that_breaks_down_is_one_row_that_did_not_run(row: Any, expected: str) -> None:
+    started: list[Any] = []
+    reason = fault_matrix.in_a_process(started, row, 1, 1.0, CODE)
+    assert expected in reason
+    assert not started[0].is_alive()
 
 
 def test_an_interrupted_run_writes_nothing_and_can_go_on(
-    matrix: Matrix, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    matrix: Matrix, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("matplotlib")
     matrix.record(*ALL, by=OLDER)
 
-    def interrupted(future: Any) -> str:
-        if future.result() == "" and len(matrix.ran) >= 2:
-            raise KeyboardInterrupt
-        return ""
+    def interrupt() -> None:
+        raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(fault_matrix, "outcome", interrupted)
-        assert main([]) == 130
+    matrix.trouble[SLIP.name] = interrupt
+    assert main([]) == 130
     assert "docs/faults.md stays as it was; --missing goes on" in capsys.readouterr().err
     assert matrix.table.read_text() == BEFORE
-    done = matrix.notes().count(CODE)
-    assert done >= 2
+    assert matrix.notes()[:3] == [CODE, CODE, OLDER]
     matrix.record(STUCK, by=OLDER)
+    matrix.trouble.clear()
 
     assert main(["--recorded"]) == 1
     assert "not of one version" in capsys.readouterr().err
     assert matrix.table.read_text() == BEFORE
-    missing = [row.name for row in ALL if matrix.recordings.made_by(row) != CODE]
     matrix.ran.clear()
     assert main(["--missing"]) == 0
-    assert matrix.ran == missing
+    assert matrix.ran == [SLIP.name, STUCK.name]
     assert matrix.notes() == [CODE] * 4
     assert CODE in matrix.table.read_text()
 
