@@ -201,8 +201,10 @@ def made(arguments: argparse.Namespace) -> None:
             raise FnnEkfError(f"Python finds the package in {package}, not in this clone")
         made_by = code_version(ROOT)
         rows = rows_to_run(arguments, recordings, made_by)
-        failed = run_all(rows, arguments.jobs, arguments.rate, made_by) if rows else []
-        recordings.remove_new()
+        try:
+            failed = run_all(rows, arguments.jobs, arguments.rate, made_by)
+        finally:
+            recordings.remove_new()
         if failed:
             raise FnnEkfError(
                 f"{len(failed)} of {len(rows)} rows did not run, docs/faults.md stays as it was: "
