@@ -79,7 +79,7 @@ All poses, covariances, twists and noises that were published were finite{{}}.
 
 
 def draw(path: Path, runs: Sequence[tuple[Row, Run]]) -> None:
-    """Draw the position error of every row over time, the first row's in grey behind it.
+    """Draw the position error of every row over time, the first row's in gray behind it.
 
     Raises:
         FnnEkfError: matplotlib is not installed, or the file cannot be written.
@@ -108,7 +108,7 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run]]) -> None:
     for axes in grid.flat[len(runs) :]:
         axes.set_axis_off()
     figure.supxlabel("robot time [s]", fontsize="small")
-    figure.supylabel("position error [m]; grey: no fault", fontsize="small")
+    figure.supylabel("position error [m]; gray: no fault", fontsize="small")
     try:
         figure.savefig(path, dpi=80, metadata={"Software": None})
     except (OSError, ValueError) as error:
