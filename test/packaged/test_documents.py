@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from write_examples import blocks
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
@@ -40,12 +41,6 @@ NS = 1e9
 def flat(name: str) -> str:
     """Return a document as one line, so that a phrase may be broken anywhere."""
     return " ".join((ROOT / name).read_text(encoding="utf-8").split())
-
-
-def blocks(text: str) -> list[str]:
-    """Return the indented blocks of a document, each without its indentation."""
-    found = re.findall(r"(?:^(?: {4}.*)?\n)+", text, flags=re.MULTILINE)
-    return [re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for block in found if block.strip()]
 
 
 def anchors(path: Path) -> set[str]:
