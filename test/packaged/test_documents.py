@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from faults.rows import ROWS
 from write_examples import blocks
 
 from fnn_ekf_ros import cli
@@ -215,3 +216,11 @@ def test_the_lists_of_faults_are_as_long_as_the_documents_say() -> None:
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/results.md")
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/operation.md")
     assert f"**{len(fault_naming.FAULTS)} cases of `study faults`**" in flat("docs/results.md")
+
+
+def test_the_fault_matrix_is_of_one_version_and_has_all_rows() -> None:
+    text = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+    assert re.search(r"\(fnn_ekf_ros [\d.]+, commit [0-9a-f]{7,}\); do not edit", text)
+    table, _, _ = text.partition("## The vocabulary")
+    names = re.findall(r"^\| \*\*(.+?)\*\*<br>", table, flags=re.MULTILINE)
+    assert names == [row.name for row in ROWS]
