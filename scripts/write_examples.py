@@ -27,11 +27,14 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = ("README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))))
 COMMAND = "python3 -m fnn_ekf_ros "
 """How a line of an example begins that is run; NAME stands for any command."""
+BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
+WHEELS: list[str] = getattr(demo, "WHEELS", [])
+"""Where the demo takes the wheels from, if not from ticks."""
 DEMO_RUNS = {
-    "dead reckoning": ("--dead-reckoning", *demo.assigned([*demo.WRONG, *demo.PLAIN])),
-    "EKF": demo.assigned([*demo.WRONG, *demo.PLAIN]),
-    "FNN-EKF, replay": demo.assigned(demo.WRONG),
-    "EKF, true noise": demo.assigned(demo.PLAIN),
+    "dead reckoning": ("--dead-reckoning", *demo.assigned([*WHEELS, *demo.WRONG, *demo.PLAIN])),
+    "EKF": demo.assigned([*WHEELS, *demo.WRONG, *demo.PLAIN]),
+    "FNN-EKF, replay": demo.assigned([*WHEELS, *demo.WRONG]),
+    "EKF, true noise": demo.assigned([*WHEELS, *demo.PLAIN]),
 }
 """Lines of the README's table, and what scripts/demo.py tells `replay` for each."""
 MEASURED = ("bias.yaml", "late.yaml")
@@ -138,14 +141,14 @@ def demo_bag(label: str, folder: Path) -> Path:
     """Return the bag of one of the demo's replays."""
     out = folder / label
     if not out.exists():
-        run(["replay", demo.BAG, out, "--params", demo.PARAMETERS, *DEMO_RUNS[label]], folder)
+        run(["replay", BAG, out, "--params", PARAMETERS, *DEMO_RUNS[label]], folder)
     return out
 
 
 def demo_row(label: str, folder: Path) -> str:
     """Return the numbers of a line of the README's table."""
     bag = demo_bag(label, folder)
-    printed = run(["evaluate", bag, "--labels", "run", "--truth-bag", demo.BAG], folder)
+    printed = run(["evaluate", bag, "--labels", "run", "--truth-bag", BAG], folder)
     x, y, theta, _, nees = scores(printed)["run"]
     return f"{x:.3f} | {y:.3f} | {theta:.3f} | {nees:.1f}"
 
