@@ -27,17 +27,17 @@ LARGEST_SHOWN_M = 50.0
 
 
 def document(
-    lines: Sequence[tuple[Row, Verdict | str]], undisturbed: Run | str, made_by: str, picture: str
+    lines: Sequence[tuple[Row, Verdict]], undisturbed: Run, made_by: str, picture: str
 ) -> str:
     """Return docs/faults.md.
 
     Args:
-        lines: the rows, each with what came of it or why it did not run.
-        undisturbed: the run without a fault, or why there is none.
-        made_by: version and commit.
+        lines: the rows, each with what came of it.
+        undisturbed: the run without a fault.
+        made_by: version and commit of the code that ran.
         picture: file name of the picture beside the document.
     """
-    bound = math.nan if isinstance(undisturbed, str) else largest_usual_error(undisturbed)
+    bound = largest_usual_error(undisturbed)
     head = f"""\
 # Faults
 
@@ -68,7 +68,7 @@ All poses, covariances, twists and noises that were published were finite{{}}.
 | back [s] | OK [s] |
 |---|---|---|---|---|---|---|---|---|---|---|
 """
-    broken = [row.name for row, v in lines if isinstance(v, Verdict) and not v.finite]
+    broken = [row.name for row, verdict in lines if not verdict.finite]
     head = head.replace("{}", f", but for: {', '.join(broken)}" if broken else "")
     return (
         head
@@ -78,8 +78,8 @@ All poses, covariances, twists and noises that were published were finite{{}}.
     )
 
 
-def draw(path: Path, runs: Sequence[tuple[Row, Run | str]]) -> None:
-    """Draw the position error of every row over time, the first row's in grey behind it.
+def draw(path: Path, runs: Sequence[tuple[Row, Run]]) -> None:
+    """Draw the position error of every row over time, the first row's in gray behind it.
 
     Raises:
         FnnEkfError: matplotlib is not installed, or the file cannot be written.
@@ -99,8 +99,6 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run | str]]) -> None:
         if row.timeline:
             axes.axvspan(ONSET_S, max(row.over_s, ONSET_S + 0.5), color="C1", alpha=0.3, lw=0)
         for entry, style in ((usual, {"color": "0.7"}), (run, {"color": "C0"})):
-            if isinstance(entry, str):
-                continue
             error = position_error(entry.odom, entry.truth)
             axes.semilogy(entry.odom.time_ns * 1e-9, error, lw=1.0, **style)
         axes.set(xlim=(0.0, END_S), ylim=(SMALLEST_SHOWN_M, LARGEST_SHOWN_M))
@@ -110,29 +108,27 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run | str]]) -> None:
     for axes in grid.flat[len(runs) :]:
         axes.set_axis_off()
     figure.supxlabel("robot time [s]", fontsize="small")
-    figure.supylabel("position error [m]; grey: no fault", fontsize="small")
+    figure.supylabel("position error [m]; gray: no fault", fontsize="small")
     try:
         figure.savefig(path, dpi=80, metadata={"Software": None})
     except (OSError, ValueError) as error:
         raise FnnEkfError(f"'{path}' cannot be written: {error}") from None
 
 
-def _line(row: Row, verdict: Verdict | str) -> str:
-    cells = [f"**{row.name}**<br>{row.meaning}", _injected(row)]
-    if isinstance(verdict, str):
-        cells += [f"**did not run**: {_cell(verdict)}", *[""] * 8]
-    else:
-        v = verdict
-        windows = (v.before, v.during, v.after)
-        cells += [
-            "<br>".join(map(_sentence, v.said)) or "nothing new",
-            *map(_errors, windows),
-            " / ".join(_number(w.nees, 1) for w in windows),
-            _number(v.moved, 3),
-            str(v.missing),
-            _seconds(v.recovered_s),
-            _seconds(v.fine_s),
-        ]
+def _line(row: Row, verdict: Verdict) -> str:
+    v = verdict
+    windows = (v.before, v.during, v.after)
+    cells = [
+        f"**{row.name}**<br>{row.meaning}",
+        _injected(row),
+        "<br>".join(map(_sentence, v.said)) or "nothing new",
+        *map(_errors, windows),
+        " / ".join(_number(w.nees, 1) for w in windows),
+        _number(v.moved, 3),
+        str(v.missing),
+        _seconds(v.recovered_s),
+        _seconds(v.fine_s),
+    ]
     return f"| {' | '.join(cells)} |\n"
 
 

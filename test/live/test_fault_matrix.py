@@ -1,13 +1,12 @@
 """Rows of the fault matrix through the command's own code: what was promised about them."""
 
-import importlib.util
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from faults import processes as row_processes
+from faults.rows import ROWS
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.pipeline.events import Level
@@ -15,26 +14,14 @@ from fnn_ekf_ros.tools.fault_matrix import SAME_M, SETTLED_S, judge, position_er
 from fnn_ekf_ros.tools.fault_runs import ONSET_S, Run
 
 pytestmark = pytest.mark.live
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "fault_matrix.py"
 RATES = (8.0, 4.0, 2.0)
 NEAR_M = 0.4
 """Four standard deviations of a fix."""
 
 
-@pytest.fixture(scope="module")
-def matrix() -> Any:
-    spec = importlib.util.spec_from_file_location("fault_matrix_script", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def run_row(
-    matrix: Any, ros_environment: None, processes: Any, monkeypatch: pytest.MonkeyPatch
+    ros_environment: None, processes: Any, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[str], Run]:
     """Runs a row by its name."""
     # So that what the command sets is put back.
@@ -42,10 +29,11 @@ def run_row(
         monkeypatch.setenv(name, processes.environment.get(name, ""))
 
     def run(name: str) -> Run:
-        (row,) = [row for row in matrix.ROWS if row.name == name]
+        (row,) = [row for row in ROWS if row.name == name]
         for rate in RATES:
             try:
-                found = matrix.run_row(row, processes.folder / f"{rate:g}" / f"{len(name)}", rate)
+                folder = processes.folder / f"{rate:g}" / f"{len(name)}"
+                found = row_processes.run_row(row, folder, rate)
                 break
             except FnnEkfError as error:  # the machine was too busy
                 print(error)

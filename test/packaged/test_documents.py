@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from faults.rows import ROWS
+from write_examples import blocks
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
@@ -40,12 +42,6 @@ NS = 1e9
 def flat(name: str) -> str:
     """Return a document as one line, so that a phrase may be broken anywhere."""
     return " ".join((ROOT / name).read_text(encoding="utf-8").split())
-
-
-def blocks(text: str) -> list[str]:
-    """Return the indented blocks of a document, each without its indentation."""
-    found = re.findall(r"(?:^(?: {4}.*)?\n)+", text, flags=re.MULTILINE)
-    return [re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for block in found if block.strip()]
 
 
 def anchors(path: Path) -> set[str]:
@@ -244,3 +240,11 @@ def test_the_lists_of_faults_are_as_long_as_the_documents_say() -> None:
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/results.md")
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/operation.md")
     assert f"**{len(fault_naming.FAULTS)} cases of `study faults`**" in flat("docs/results.md")
+
+
+def test_the_fault_matrix_is_of_one_version_and_has_all_rows() -> None:
+    text = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+    assert re.search(r"\(fnn_ekf_ros [\d.]+, commit [0-9a-f]{7,}\); do not edit", text)
+    table, _, _ = text.partition("## The vocabulary")
+    names = re.findall(r"^\| \*\*(.+?)\*\*<br>", table, flags=re.MULTILINE)
+    assert names == [row.name for row in ROWS]

@@ -140,19 +140,21 @@ def test_document_and_picture_show_every_row(tmp_path: Path) -> None:
     said = (Remark(31.0, "compass", Level.WARN, "a | b"),)
     verdict = judge(DROPOUT, run(0.2, said), run(0.1))
     text = document(
-        [(DROPOUT, verdict._replace(finite=False)), (KIDNAP, "no robot")], run(0.1), "v1", "p.png"
-    )
+        [(DROPOUT, verdict._replace(finite=False)), (KIDNAP, judge(KIDNAP, run(), run()))],
+        run(0.1), "v1", "p.png",
+    )  # fmt: skip
     rows = [line for line in text.splitlines() if line.startswith("| **")]
     assert rows[0].startswith("| **dropout**<br>cable | `dropout` topic: compass | compass **WARN")
     assert "a \\| b (1.0)" in rows[0]
-    assert "**did not run**: no robot" in rows[1]
+    assert "| nothing new |" in rows[1]
+    assert "(fnn_ekf_ros v1)" in text
     assert "finite, but for: dropout." in text
     assert "above 0.15 m" in text
     assert "**`kidnap`**" in text, "the vocabulary"
     columns = {line.replace("\\|", "").count("|") for line in rows[:2]}
     assert columns == {12}
     pytest.importorskip("matplotlib")
-    draw(tmp_path / "p.png", [(NO_FAULT, run(0.1)), (KIDNAP, "no robot"), (DROPOUT, run())])
+    draw(tmp_path / "p.png", [(NO_FAULT, run(0.1)), (KIDNAP, run(0.3)), (DROPOUT, run())])
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -1,0 +1,1 @@
+"""The fault matrix: its rows, how they are run and recorded, what becomes of the recordings."""

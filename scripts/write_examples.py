@@ -1,0 +1,257 @@
+"""Runs the examples of the documents and writes what they show: python3 scripts/write_examples.py.
+
+Numbers in README.md and docs/*.md that a command beside them gives are rewritten in place. The
+line of the live run in the README's table is not: `make demo` prints it.
+"""
+
+import contextlib
+import io
+import re
+import shlex
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import demo
+
+from fnn_ekf_ros.bag_files import BagReader
+from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.messages import stamp_ns
+from fnn_ekf_ros.pipeline.events import Level
+from fnn_ekf_ros.text_files import write_text
+from fnn_ekf_ros.tools.simulate import START_NS
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = ("README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))))
+COMMAND = "python3 -m fnn_ekf_ros "
+"""How a line of an example begins that is run; NAME stands for any command."""
+BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
+WHEELS: list[str] = getattr(demo, "WHEELS", [])
+"""Where the demo takes the wheels from, if not from ticks."""
+DEMO_RUNS = {
+    "dead reckoning": ("--dead-reckoning", *demo.assigned([*WHEELS, *demo.WRONG, *demo.PLAIN])),
+    "EKF": demo.assigned([*WHEELS, *demo.WRONG, *demo.PLAIN]),
+    "FNN-EKF, replay": demo.assigned([*WHEELS, *demo.WRONG]),
+    "EKF, true noise": demo.assigned([*WHEELS, *demo.PLAIN]),
+}
+"""Lines of the README's table, and what scripts/demo.py tells `replay` for each."""
+MEASURED = ("bias.yaml", "late.yaml")
+"""Words of the examples whose output is shown; `SHOWN` runs them."""
+ADAPTED = "FNN-EKF, replay"
+NUMBERS = r"(?:[\d.]+ \| ){3}[\d.]+"
+INDENTED = r"(?: {4}[^\n]*\n)+"
+LATE = ("in time", "late", "stamped on arrival", "waited for")
+
+
+class Block(NamedTuple):
+    """The commands of an indented block of a document."""
+
+    document: str
+    lines: tuple[str, ...]
+
+
+class Shown(NamedTuple):
+    """What a document shows of an example.
+
+    Attributes:
+        document: its name.
+        name: of a few words.
+        pattern: has one group, what is shown.
+        value: returns what should be there, given a folder to run in; what several values need is
+            made there once.
+    """
+
+    document: str
+    name: str
+    pattern: str
+    value: Callable[[Path], str]
+
+
+def read(document: str) -> str:
+    """Return a document's text."""
+    return (ROOT / document).read_text(encoding="utf-8")
+
+
+def blocks(text: str) -> list[str]:
+    """Return the indented blocks of a document, each without its indentation."""
+    found = re.findall(r"(?:^(?: {4}.*)?\n)+", text, flags=re.MULTILINE)
+    return [re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for block in found if block.strip()]
+
+
+def examples(document: str) -> list[Block]:
+    """Return the blocks of a document that have commands to run."""
+    found = []
+    for block in blocks(read(document)):
+        lines = block.replace("\\\n", " ").splitlines()
+        own = [line.strip() for line in lines if line.strip().startswith(COMMAND)]
+        if own and COMMAND + "NAME" not in block:
+            found.append(Block(document, tuple(own)))
+    return found
+
+
+def example(document: str, word: str) -> Block:
+    """Return the block of a document that has a word in its commands."""
+    (found,) = [b for b in examples(document) if word in " ".join(b.lines)]
+    return found
+
+
+def files(document: str) -> dict[str, str]:
+    """Return the content of the files that a document shows after their names."""
+    pattern = rf"`(\w+\.yaml)`(?:(?!\n\n).)*:\n\n({INDENTED})"
+    found = re.findall(pattern, read(document), flags=re.DOTALL)
+    return {name: re.sub(r"^ {4}", "", text, flags=re.MULTILINE) for name, text in found}
+
+
+def run(arguments: Sequence[object], folder: Path) -> str:
+    """Run one of the package's commands in a folder; return what it prints.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    words = [str(word) for word in arguments]
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        code = run_command(words[0], words[1:])
+    if code or err.getvalue():
+        raise RuntimeError(f"{shlex.join(words)}: exit code {code}: {err.getvalue()}")
+    return out.getvalue()
+
+
+def run_lines(lines: Sequence[str], folder: Path) -> str:
+    """Run the lines of an example in a folder; return what the last one prints."""
+    said = ""
+    for line in lines:
+        said = run(shlex.split(line.removeprefix(COMMAND)), folder)
+    return said
+
+
+def scores(printed: str) -> dict[str, list[float]]:
+    """Return the numbers that `evaluate` prints: of each run x, y, theta, position, NEES."""
+    rows = [line.rsplit(maxsplit=6) for line in printed.splitlines()[2:]]
+    return {label: [float(text) for text in numbers] for label, _, *numbers in rows}
+
+
+def demo_bag(label: str, folder: Path) -> Path:
+    """Return the bag of one of the demo's replays."""
+    out = folder / label
+    if not out.exists():
+        run(["replay", BAG, out, "--params", PARAMETERS, *DEMO_RUNS[label]], folder)
+    return out
+
+
+def demo_row(label: str, folder: Path) -> str:
+    """Return the numbers of a line of the README's table."""
+    bag = demo_bag(label, folder)
+    printed = run(["evaluate", bag, "--labels", "run", "--truth-bag", BAG], folder)
+    x, y, theta, _, nees = scores(printed)["run"]
+    return f"{x:.3f} | {y:.3f} | {theta:.3f} | {nees:.1f}"
+
+
+def reports(bag: Path) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield the reports of /diagnostics: the robot's time [s], statuses by their short names."""
+    with BagReader(bag) as reader:
+        for record in reader.records({"/diagnostics"}):
+            message = reader.message(record)
+            statuses = {status.name.split(": ", 1)[-1]: status for status in message.status}
+            yield (stamp_ns(message) - START_NS) * 1e-9, statuses
+
+
+def values(status: Any) -> dict[str, str]:
+    """Return what a status tells beside its message."""
+    return {entry.key: entry.value for entry in status.values}
+
+
+def beliefs(folder: Path) -> str:
+    """Return what `filter` tells at the end of the demo's replay, as docs/diagnostics.md has it."""
+    *_, (_, last) = reports(demo_bag(ADAPTED, folder))
+    told = values(last["filter"])
+    names = ("adaptation", "process noise", "measurement noise", "believes", "because", "weights")
+    return "".join(f"    {key}: {told[key]}\n" for key in told if key.startswith(names))
+
+
+def report(after_s: float, folder: Path) -> str:
+    """Return the first report so long after the example's fault, as docs/diagnostics.md has it."""
+    document, own = "docs/diagnostics.md", folder / "compass"
+    faults = files(document)["bias.yaml"]
+    if not own.exists():
+        own.mkdir()
+        (own / "bias.yaml").write_text(faults)
+        run_lines(example(document, "bias.yaml").lines, own)
+    (start,) = re.findall(r"start: ([\d.]+)", faults)
+    bag = own / "out"
+    statuses = next(found for time_s, found in reports(bag) if time_s >= float(start) + after_s)
+    lines = []
+    for name, status in statuses.items():
+        level = Level(int(status.level)).name
+        lines.append(f"    {name + ':':<9} {level:<5} {status.message}\n")
+        if name == "filter":
+            lines.append(f"      suspicion [nats]: {values(status)['suspicion [nats]']}\n")
+    return "".join(lines)
+
+
+def late_fixes(folder: Path) -> str:
+    """Return the position errors of the example of docs/results.md, in the order of its table."""
+    document = "docs/results.md"
+    block, timeline = example(document, "late.yaml"), files(document)["late.yaml"]
+    late, on_arrival = timeline.splitlines()
+    found = []
+    for name, faults in zip(LATE, ("", late, f"{late}\n{on_arrival}", late), strict=True):
+        own = folder / name
+        own.mkdir()
+        (own / "late.yaml").write_text(faults)
+        lines = list(block.lines)  # simulate, replay, evaluate
+        if not faults:
+            lines[0] = lines[0].replace(" -p faults_file:=late.yaml", "")
+        if name == LATE[-1]:
+            lines[1] += " -p output_delay:=0.2"
+        ((_, _, _, position, _),) = scores(run_lines(lines, own)).values()
+        found.append(f"{position:.4f}")
+    return f"{', '.join(found[:-1])} and {found[-1]}"
+
+
+SHOWN = (
+    *(
+        Shown("README.md", label, rf"^\| {label} \| ({NUMBERS}) \|$", partial(demo_row, label))
+        for label in DEMO_RUNS
+    ),
+    Shown("docs/diagnostics.md", "after two seconds",
+          rf"Two seconds into the fault:\n\n({INDENTED})", partial(report, 2.0)),
+    Shown("docs/diagnostics.md", "after fifteen seconds",
+          rf"Fifteen seconds into the fault:\n\n({INDENTED})", partial(report, 15.0)),
+    Shown("docs/diagnostics.md", "end of the demo", rf"end of the demo:\n\n({INDENTED})", beliefs),
+    Shown("docs/results.md", "late fixes", r"these give\s+(.*?)\.\n", late_fixes),
+)  # fmt: skip
+
+
+def shown_in(text: str, shown: Shown) -> re.Match[str]:
+    """Return the one place of a document's text that shows something of an example.
+
+    Raises:
+        ValueError: it is not there, or more than once.
+    """
+    found = list(re.finditer(shown.pattern, text, flags=re.MULTILINE))
+    if len(found) != 1:
+        raise ValueError(f"{shown.document}: '{shown.name}' is there {len(found)} times")
+    return found[0]
+
+
+def main() -> None:
+    """Rewrite what the documents show."""
+    with tempfile.TemporaryDirectory() as folder:
+        for shown in SHOWN:
+            value = shown.value(Path(folder))
+            text = read(shown.document)
+            begin, end = shown_in(text, shown).span(1)
+            write_text(ROOT / shown.document, text[:begin] + value + text[end:])
+            same = "as before" if text[begin:end] == value else "changed"
+            print(f"{shown.document}, {shown.name}: {same}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

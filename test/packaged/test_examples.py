@@ -1,0 +1,186 @@
+"""The examples of the documents: each command runs, and gives what the document shows."""
+
+import json
+import re
+import shlex
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import write_examples
+from write_examples import COMMAND, DOCUMENTS, MEASURED, ROOT, SHOWN, Block, Shown, examples
+
+from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
+from fnn_ekf_ros.parameters.fake_robot import NODE_NAME as FAKE_ROBOT
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build, fields_of
+from fnn_ekf_ros.tools.study import STUDIES
+
+NODES = {LOCALIZER: LocalizerParameters, FAKE_ROBOT: FakeRobotParameters}
+SHORTER = {
+    "study grid": "--runs 2 --steps 10",
+    "study dynamic": "--runs 2 --steps 10",
+    "simulate run -p faults_file:=config/": "--duration 60",
+    "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan",
+}
+"""Arguments put behind those of an example that would take minutes or hours: the last one wins."""
+LIVE_SHARE = 1.05
+"""The demo warns of a live run that is worse than the replay by more."""
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+OTHERS = [
+    block
+    for document in DOCUMENTS
+    for block in examples(document)
+    if not any(word in " ".join(block.lines) for word in MEASURED)
+]
+
+
+def amcl_bag(folder: Path) -> None:
+    """Write my_bag, as a robot like that of my_robot.yaml would: fixes by AMCL, wheel odometry."""
+    geometry = ("wheel_radius:=0.033", "wheel_separation:=0.16", "base_frame:=base_footprint",
+                "left_joint:=wheel_left_joint", "right_joint:=wheel_right_joint")  # fmt: skip
+    words = [word for text in geometry for word in ("-p", text)]
+    write_examples.run(["simulate", "driven", "--duration", "15", *words], folder)
+    topics = {"/joint_states": "/joint_states", "/lrf_pose": "/amcl_pose", "/ground_truth": "/odom"}
+    with BagReader(folder / "driven") as bag, BagWriter(folder / "my_bag") as out:
+        for topic, name in topics.items():
+            out.add_topic(bag.topics[topic]._replace(name=name))
+        for record in bag.records(set(topics)):
+            out.write_raw(Record(topics[record.topic], *record[1:]))
+
+
+def csv_files(folder: Path) -> None:
+    """Write run.csv, run_fixes.csv and run.json of a straight drive at 0.1 m/s, 1 mm a count."""
+    times = [0.05 * step for step in range(600)]
+    rows = [f"{t:.2f},{100 * t:.0f},{100 * t:.0f},{0.1 * t:.4f},0.0,0.0" for t in times]
+    head = "t,left_ticks,right_ticks,gt_x,gt_y,gt_theta"
+    (folder / "run.csv").write_text("\n".join([head, *rows]) + "\n")
+    fixes = [
+        f"{t:.2f},{0.1 * t + (-1) ** i * 0.05:.4f},0.02,0.01" for i, t in enumerate(times[::7])
+    ]
+    (folder / "run_fixes.csv").write_text("\n".join(["t,fix_x,fix_y,fix_theta", *fixes]) + "\n")
+    (folder / "run.json").write_text(json.dumps({"wheel_base_m": 0.3, "metres_per_tick": 0.001}))
+
+
+def clone(folder: Path) -> None:
+    """Make the folder look like a clone to commands that name a file of it."""
+    (folder / "config").symlink_to(ROOT / "config")
+
+
+PREPARED: dict[str, Callable[[Path], None]] = {
+    "my_bag": amcl_bag,
+    "run.csv": csv_files,
+    "config/": clone,
+}
+"""What an example with this word in its commands takes for granted."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the examples run whose output is shown; several need the same recording."""
+    return tmp_path_factory.mktemp("examples")
+
+
+def same_but_for_rounding(shown: str, given: str) -> bool:
+    """Return whether two texts are the same, numbers to one unit of their last digit."""
+    if NUMBER.sub("#", shown) != NUMBER.sub("#", given):
+        return False
+    for one, other in zip(NUMBER.findall(shown), NUMBER.findall(given), strict=True):
+        digits = len(one.partition(".")[2])
+        if abs(float(one) - float(other)) > 1.5 * 10.0**-digits * ("." in one):
+            return False
+    return True
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+def test_an_example_gives_what_the_document_shows(shown: Shown, folder: Path) -> None:
+    text = write_examples.read(shown.document)
+    there = write_examples.shown_in(text, shown).group(1)
+    given = shown.value(folder)
+    assert same_but_for_rounding(there, given), (
+        f"{shown.document} shows\n{there}\nand its commands give\n{given}\n"
+        "scripts/write_examples.py writes what they give"
+    )
+
+
+def test_numbers_may_differ_by_rounding_and_words_not_at_all() -> None:
+    assert same_but_for_rounding("0.053 of 8 x", "0.054 of 8 x")
+    assert not same_but_for_rounding("0.053 of 8 x", "0.055 of 8 x")
+    assert not same_but_for_rounding("0.053 of 8 x", "0.053 of 9 x")
+    assert not same_but_for_rounding("0.053 of 8 x", "0.053 of 8 y")
+
+
+def test_the_live_run_of_the_readme_is_as_good_as_its_replay() -> None:
+    rows = re.findall(
+        r"^\| FNN-EKF, (\w+) \| (.*) \|$", write_examples.read("README.md"), re.MULTILINE
+    )
+    runs = {name: [float(cell) for cell in cells.split(" | ")] for name, cells in rows}
+    for live, replayed in zip(runs["live"], runs["replay"], strict=True):
+        assert live <= LIVE_SHARE * replayed
+
+
+@pytest.mark.parametrize("block", OTHERS, ids=lambda block: f"{block.document}: {block.lines[0]}")
+def test_the_commands_of_a_document_run(
+    block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, study in STUDIES.items():  # pictures take most of the time; they have other tests
+        monkeypatch.setitem(STUDIES, name, study._replace(figures=lambda *_: None))
+    for name, text in write_examples.files(block.document).items():
+        (tmp_path / name).write_text(text)
+    for word, prepare in PREPARED.items():
+        if word in " ".join(block.lines):
+            prepare(tmp_path)
+    for line in block.lines:
+        own = line.removeprefix(COMMAND)
+        more = next((m for begin, m in SHORTER.items() if own.startswith(begin)), "")
+        write_examples.run(shlex.split(f"{own} {more}"), tmp_path)
+
+
+def nodes_started() -> list[tuple[str, str]]:
+    """Return the `ros2 run` lines of all documents, each with its document."""
+    return [
+        (document, line.strip())
+        for document in DOCUMENTS
+        for block in write_examples.blocks(write_examples.read(document))
+        for line in block.replace("\\\n", " ").splitlines()
+        if line.strip().startswith("ros2 run fnn_ekf_ros ")
+    ]
+
+
+@pytest.mark.parametrize(("document", "line"), nodes_started())
+def test_a_node_takes_the_arguments_of_a_document(
+    document: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy")
+    from fnn_ekf_ros.ros.runtime import parameters_from_ros, ros_started
+
+    monkeypatch.chdir(tmp_path)
+    for name, text in write_examples.files(document).items():
+        (tmp_path / name).write_text(text)
+    _, _, _, node, *arguments = shlex.split(line)
+    with ros_started(arguments, node):
+        given = parameters_from_ros(node)
+    given.pop("use_sim_time", None)
+    build(NODES[node], given)
+    assert len(given) >= line.count(" -p ")
+
+
+def test_parameters_that_a_document_sets_at_run_time_can_be_set() -> None:
+    found = [
+        line.split()
+        for document in DOCUMENTS
+        for line in write_examples.read(document).splitlines()
+        if line.startswith("    ros2 param set ")
+    ]
+    assert found
+    changing = {name for name, spec, _ in fields_of(LocalizerParameters) if spec.at_run_time}
+    robot = {"wheel_radius": 0.1, "wheel_separation": 0.5, "encoder_counts_per_revolution": 1.0}
+    for *_, node, name, value in found:
+        assert node == f"/{LOCALIZER}"
+        assert name in changing
+        changes: dict[str, Any] = {name: value}
+        replace(build(LocalizerParameters, robot), **changes)
