@@ -21,8 +21,9 @@ TRIALS = {
 }
 """Paths of the fake robot, and what the paper calls them."""
 STARTS = (RIGHT, Cell(1.0, 25.0), Cell(1.0 / 25.0, 25.0))
-FIRST_CORNER, LINE, THIRD_CORNER = (6.0, 0.0), (3.0, 0.0), (4.5, 4.0)
-"""Places on the experiment's path that the paper enlarges, counted from its start [m]."""
+FIRST_CORNER, LINE, THIRD_CORNER = (5.7, 0.3), (3.0, 0.0), (4.5, 3.7)
+"""Middles of the parts of the experiment's path that the paper enlarges, its corners counted from
+the start, (6, 0) and (4.5, 4) [m]."""
 
 
 def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:

@@ -23,6 +23,7 @@ LABELS = {
 STARTS = ("right start", "R x 25", "Q / 25, R x 25")
 SIMULATIONS = (("sim1", 7), ("sim2", 11))
 EXPERIMENT = {17: None, 18: (6.0, 0.0), 19: (3.0, 0.0), 20: (4.5, 4.0)}
+"""What has to be in the middle half of the picture [m]."""
 
 
 def outcome(trial: str, name: str, rng: np.random.Generator) -> Outcome:
@@ -132,7 +133,8 @@ def test_figures_17_to_20_show_one_lap_of_the_experiment(
     figure = figures[str(number)]
     assert_tracks(figure, outcomes, "round", slice(STEPS - lap, STEPS))
     for panel in figure.axes if center is not None else ():
-        assert (np.mean(panel.get_xlim()), np.mean(panel.get_ylim())) == pytest.approx(center)
+        for limits, place in zip((panel.get_xlim(), panel.get_ylim()), center, strict=True):
+            assert abs(np.mean(limits) - place) <= 0.25 * np.ptp(limits)
         assert np.ptp(panel.get_ylim()) <= 1.6
 
 
