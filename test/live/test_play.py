@@ -187,6 +187,17 @@ def test_live_equals_replay_on_a_real_robot(
         (["BAG", "--topics", "moon"], "has no topic /moon"),
         (["BAG", "--rate", "0"], "--rate 0: expected"),
         (["BAG", "--wait-for-subscribers", "0.1"], "no subscriber after 0.1 s on"),
+        (["BAG", "--lead", "0"], "--lead 0: expected"),
+        (["BAG", "--patience", "-1"], "--patience -1: expected"),
+        (
+            ["BAG", "--keep-pace-with", "odom", "--patience", "0.1"],
+            "no publisher after 0.1 s on /odom",
+        ),
+        (["BAG", "--keep-pace-with", "compass"], "--keep-pace-with /compass: it is played itself"),
+        (
+            ["BAG", "--keep-pace-with", "/rosout"],
+            "rcl_interfaces/msg/Log: expected one with a header",
+        ),
     ],
 )
 def test_wrong_play_arguments_end_it_with_one_line(
