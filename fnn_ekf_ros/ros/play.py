@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -82,15 +83,15 @@ def run(arguments: argparse.Namespace) -> int:
         topics = _chosen(bag, arguments)
         node = Node(NODE_NAME)
         try:
-            player = _Player(node, topics, arguments)
-            if arguments.wait_for_subscribers is not None:
-                player.wait_for_subscribers(arguments.wait_for_subscribers)
-            player.wait(arguments.delay, bag.start_ns)
-            while True:
-                player.play(bag)
-                if not arguments.loop or STOPPED.is_set():
-                    break
-            player.wait_for_delivery()
+            with closing(_Player(node, topics, arguments)) as player:
+                if arguments.wait_for_subscribers is not None:
+                    player.wait_for_subscribers(arguments.wait_for_subscribers)
+                player.wait(arguments.delay, bag.start_ns)
+                while True:
+                    player.play(bag)
+                    if not arguments.loop or STOPPED.is_set():
+                        break
+                player.wait_for_delivery()
         finally:
             node.destroy_node()
     return 0
@@ -205,6 +206,11 @@ class _Player:
             self._publishers[record.topic].publish(bytes(record.data))
         if self._listener is not None and timetable.heard_ns is None:
             raise FnnEkfError(f"nothing came on {self._topic} to keep pace with")
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._listener is not None:
+            self._listener.close()
 
     def _wait_until(self, due_ns: int) -> None:
         """Return when a time [ns] of the recording is due, or the process is stopped."""
