@@ -138,14 +138,16 @@ def main() -> None:
         "too small\nand measurement noise five times too large:\n"
     )
     picture, numbers = OUT / "tracks.png", OUT / "errors.json"
-    subprocess.run(
+    done = subprocess.run(
         command(
             "evaluate", *(OUT / name for name in RUNS.values()), "--truth-bag", BAG,
             "--labels", *RUNS, "--json", numbers, "--plot", picture,
             "--highlight", LIVE, "--draw", "dead reckoning", "EKF", LIVE,
         ),
-        check=True,
+        check=False,
     )  # fmt: skip
+    if done.returncode:
+        sys.exit("demo: evaluate failed")
     print(f"\nPicture: {picture}, numbers: {numbers}")
 
 
