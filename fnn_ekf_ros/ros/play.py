@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ from fnn_ekf_ros.bag_files import BagError, BagReader, Topic
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import ros_started
+from fnn_ekf_ros.ros.timetable import Timetable
 from fnn_ekf_ros.stopping import STOPPED
 from fnn_ekf_ros.tools.progress import with_progress
 
 from rclpy.duration import Duration  # isort: skip  (runtime explains it if ROS is not here)
+from fnn_ekf_ros.ros.listener import StampListener  # isort: skip
 from rclpy.node import Node  # isort: skip
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # isort: skip
 
@@ -23,6 +26,14 @@ QUEUE_DEPTH = 1000
 LONGEST_SLEEP_S = 0.1
 DELIVERY_PATIENCE_S = 5.0
 """A subscriber that does not take its messages is waited for at the end no longer [s]."""
+DEFAULT_LEAD_S = 0.7
+"""The longest lead with --keep-pace-with [s].
+
+The localizer publishes a period (0.375 s) when it has heard the wheels once after its end, so the
+lead has to be longer than that and the wheels' interval. It closes a period without the wheels
+0.5 s after its end, whatever still waits in its queues: less than 0.875 s.
+"""
+DEFAULT_PATIENCE_S = 30.0
 CLOCK_INTERVAL_NS = 10_000_000
 """With --clock, time is published with every message, and this often where there is none [ns]."""
 
@@ -47,37 +58,64 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wait-for-subscribers", type=float, metavar="S",
         help="begin when every topic (and /clock) has a subscriber; fail after S seconds",
     )  # fmt: skip
+    parser.add_argument(
+        "--keep-pace-with", metavar="TOPIC",
+        help="play slower than --rate where the node that publishes TOPIC cannot keep up: never "
+        "further ahead than --lead of the newest header stamp on TOPIC, and not faster than real "
+        "time before the first",
+    )  # fmt: skip
+    parser.add_argument(
+        "--lead", type=float, default=DEFAULT_LEAD_S, metavar="S",
+        help=f"longest lead in recorded time, with --keep-pace-with ({DEFAULT_LEAD_S:g}: longer "
+        "than the localizer's period, shorter than its period and encoder_timeout together)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--patience", type=float, default=DEFAULT_PATIENCE_S, metavar="S",
+        help="with --keep-pace-with: fail if TOPIC has no publisher, or nothing new while it is "
+        f"waited for, after S seconds ({DEFAULT_PATIENCE_S:g})",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    if not 1e-3 <= arguments.rate <= 1e4:
-        raise FnnEkfError(f"--rate {arguments.rate:g}: expected 0.001 to 10000")
-    if not 0.0 <= arguments.delay <= 1e6:
-        raise FnnEkfError(f"--delay {arguments.delay:g}: expected 0 to 1e6 seconds")
-    patience_s = arguments.wait_for_subscribers
-    if patience_s is not None and not 0.0 <= patience_s <= 1e6:
-        raise FnnEkfError(f"--wait-for-subscribers {patience_s:g}: expected 0 to 1e6 seconds")
+    _check(arguments)
     with BagReader(arguments.bag) as bag, ros_started([], NODE_NAME):
         topics = _chosen(bag, arguments)
         node = Node(NODE_NAME)
         try:
-            player = _Player(node, topics, arguments)
-            if patience_s is not None:
-                player.wait_for_subscribers(patience_s)
-            player.wait(arguments.delay, bag.start_ns)
-            while True:
-                player.play(bag)
-                if not arguments.loop or STOPPED.is_set():
-                    break
-            player.wait_for_delivery()
+            with closing(_Player(node, topics, arguments)) as player:
+                if arguments.wait_for_subscribers is not None:
+                    player.wait_for_subscribers(arguments.wait_for_subscribers)
+                player.wait(arguments.delay, bag.start_ns)
+                while True:
+                    player.play(bag)
+                    if not arguments.loop or STOPPED.is_set():
+                        break
+                player.wait_for_delivery()
         finally:
             node.destroy_node()
     return 0
 
 
+def _check(arguments: argparse.Namespace) -> None:
+    """Refuse numbers out of range."""
+    for option, value, least, most, unit in (
+        ("--rate", arguments.rate, 1e-3, 1e4, ""),
+        ("--delay", arguments.delay, 0.0, 1e6, " seconds"),
+        ("--wait-for-subscribers", arguments.wait_for_subscribers, 0.0, 1e6, " seconds"),
+        ("--lead", arguments.lead, 1e-3, 1e6, " seconds"),
+        ("--patience", arguments.patience, 0.0, 1e6, " seconds"),
+    ):
+        if value is not None and not least <= value <= most:
+            raise FnnEkfError(f"{option} {value:g}: expected {least:g} to {most:.0f}{unit}")
+
+
 class _Player:
-    """Publishes records at the pace they were recorded at, times the rate."""
+    """Publishes records at the pace they were recorded at, times the rate.
+
+    Raises:
+        FnnEkfError: there is nobody to keep pace with.
+    """
 
     def __init__(
         self,
@@ -85,7 +123,6 @@ class _Player:
         topics: list[Topic],
         arguments: argparse.Namespace,
     ) -> None:
-        self._rate = arguments.rate
         self._publishers: dict[str, Any] = {}
         for topic in topics:
             try:
@@ -102,6 +139,17 @@ class _Player:
             self._clock = node.create_publisher(
                 message_class(messages.CLOCK_TYPE), messages.CLOCK, QoSProfile(depth=10)
             )
+        self._patience_s, self._lead_s = arguments.patience, arguments.lead
+        self._listener, self._topic, lead_ns = None, "", None
+        if arguments.keep_pace_with is not None:
+            self._topic = node.resolve_topic_name(arguments.keep_pace_with)
+            if self._topic in self._publishers:
+                raise FnnEkfError(
+                    f"--keep-pace-with {self._topic}: it is played itself, see --exclude-topics"
+                )
+            self._listener = StampListener(node, self._topic, arguments.patience)
+            lead_ns = round(arguments.lead * 1e9)
+        self._timetable = Timetable(arguments.rate, lead_ns)
 
     def wait_for_subscribers(self, patience_s: float) -> None:
         """Return when all publishers are matched.
@@ -130,30 +178,70 @@ class _Player:
             self._tell_clock(begin_ns)
 
     def play(self, bag: BagReader) -> None:
-        """Publish the recording once."""
-        began: float | None = None
-        begin_ns = clock_ns = 0
+        """Publish the recording once.
+
+        Raises:
+            FnnEkfError: who is kept pace with publishes nothing any more, or never did.
+        """
+        timetable = self._timetable
         records = bag.records(set(self._publishers))
+        started = False
         for record in with_progress(records, self._count(bag), "play"):
-            if began is None:
-                began, begin_ns, clock_ns = time.monotonic(), record.time_ns, record.time_ns
-                self._tell_clock(clock_ns)
+            if not started:
+                timetable.start(record.time_ns)
+                self._tell_clock(record.time_ns)
+                started = True
             while not STOPPED.is_set():
                 due_ns = record.time_ns
                 if self._clock is not None:
-                    due_ns = min(due_ns, clock_ns + CLOCK_INTERVAL_NS)
-                ahead_s = (due_ns - begin_ns) * 1e-9 / self._rate - (time.monotonic() - began)
-                if ahead_s > 0.0:
-                    STOPPED.wait(min(ahead_s, LONGEST_SLEEP_S))
-                    continue
-                if due_ns > clock_ns:
-                    clock_ns = due_ns
-                    self._tell_clock(clock_ns)
+                    due_ns = min(due_ns, timetable.played_ns + CLOCK_INTERVAL_NS)
+                self._wait_until(due_ns)
+                if due_ns > timetable.played_ns:
+                    timetable.played(due_ns)
+                    self._tell_clock(due_ns)
                 if due_ns == record.time_ns:
                     break
             if STOPPED.is_set():
                 return
             self._publishers[record.topic].publish(bytes(record.data))
+        if self._listener is not None and timetable.heard_ns is None:
+            raise FnnEkfError(f"nothing came on {self._topic} to keep pace with")
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._listener is not None:
+            self._listener.close()
+
+    def _wait_until(self, due_ns: int) -> None:
+        """Return when a time [ns] of the recording is due, or the process is stopped."""
+        timetable = self._timetable
+        patient_until = time.monotonic() + self._patience_s
+        if self._listener is not None and timetable.heard_ns is None:
+            self._listen(0.0)
+        while not STOPPED.is_set():
+            wait_s = min(timetable.wait_s(due_ns), LONGEST_SLEEP_S)
+            if wait_s <= 0.0:
+                return
+            if self._listen(wait_s):
+                patient_until = time.monotonic() + self._patience_s
+            elif timetable.held(due_ns):
+                self._tell_clock(timetable.played_ns)  # the last one may have been lost
+                if time.monotonic() > patient_until:
+                    raise FnnEkfError(self._silence(timetable.heard_ns or 0))
+
+    def _listen(self, timeout_s: float) -> bool:
+        """Wait, at most until the next message to keep pace with; return whether it was new."""
+        if self._listener is None:
+            STOPPED.wait(timeout_s)
+            return False
+        stamp_ns = self._listener.next_ns(timeout_s)
+        return stamp_ns is not None and self._timetable.heard(stamp_ns)
+
+    def _silence(self, heard_ns: int) -> str:
+        return (
+            f"nothing new on {self._topic} for {self._patience_s:g} s after "
+            f"{heard_ns * 1e-9:.3f} s, with a --lead of {self._lead_s:g} s"
+        )
 
     def wait_for_delivery(self) -> None:
         """Give reliable subscribers the chance to fetch what is still queued."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagError, BagReader
+from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.text_files import write_text
@@ -34,17 +35,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the numbers as JSON")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw tracks and errors")
+    parser.add_argument(
+        "--draw", nargs="+", metavar="LABEL", help="draw these runs only; the table has all"
+    )
+    parser.add_argument(
+        "--highlight", metavar="LABEL",
+        help="draw this run above the others, with the uncertainty it claims (a single run)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fixes-topic", default="/lrf_pose", metavar="TOPIC",
+        help="position fixes to draw, from the bag of the ground truth (/lrf_pose)",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     labels = arguments.labels or [str(path) for path in arguments.bags]
-    if len(labels) != len(arguments.bags):
-        raise FnnEkfError(f"--labels: {len(labels)} labels, expected {len(arguments.bags)}")
-    if len(set(labels)) < len(labels):
-        raise FnnEkfError(f"{', '.join(labels)}: expected different labels, see --labels")
-    if arguments.plot is not None and arguments.plot.suffix != ".png":
-        raise FnnEkfError(f"--plot {arguments.plot}: expected a name that ends in .png")
+    _check(arguments, labels)
     scores: dict[str, Score] = {}
     runs: dict[str, tuple[Track, Track]] = {}
     truths: dict[Path, Track] = {}
@@ -66,10 +73,53 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(_plain(scores), indent=2, allow_nan=False) + "\n")
     if arguments.plot is not None:
-        from fnn_ekf_ros.tools.plots import plot_tracks
-
-        plot_tracks(arguments.plot, runs)
+        _plot(arguments, dict(zip(labels, arguments.bags, strict=True)), runs)
     return 0
+
+
+def _check(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
+    """Refuse labels and files that do not fit."""
+    if len(labels) != len(arguments.bags):
+        raise FnnEkfError(f"--labels: {len(labels)} labels, expected {len(arguments.bags)}")
+    if len(set(labels)) < len(labels):
+        raise FnnEkfError(f"{', '.join(labels)}: expected different labels, see --labels")
+    if arguments.plot is not None and arguments.plot.suffix != ".png":
+        raise FnnEkfError(f"--plot {arguments.plot}: expected a name that ends in .png")
+    drawn = arguments.draw or labels
+    highlighted = [] if arguments.highlight is None else [arguments.highlight]
+    for option, names, known in (("--draw", drawn, labels), ("--highlight", highlighted, drawn)):
+        for name in names:
+            if name not in known:
+                raise FnnEkfError(f"{option} {name}: expected one of {', '.join(known)}")
+
+
+def _plot(
+    arguments: argparse.Namespace,
+    bags: Mapping[str, Path],
+    runs: Mapping[str, tuple[Track, Track]],
+) -> None:
+    """Draw the runs that were asked for."""
+    from fnn_ekf_ros.tools.plots import Run, plot_tracks
+
+    drawn = list(dict.fromkeys(arguments.draw or runs))
+    fixes: dict[Path, FloatArray] = {}
+    for label in drawn:
+        source = arguments.truth_bag or bags[label]
+        if source not in fixes:
+            with BagReader(source) as bag:
+                fixes[source] = _read_fixes(bag, arguments.fixes_topic)
+    highlight = arguments.highlight or (drawn[0] if len(drawn) == 1 else None)
+    chosen = {name: Run(*runs[name], fixes[arguments.truth_bag or bags[name]]) for name in drawn}
+    plot_tracks(arguments.plot, chosen, highlight)
+
+
+def _read_fixes(bag: BagReader, topic: str) -> FloatArray:
+    """Return the positions `(n, 2)` [m] of a topic of pose fixes; none if it is not there."""
+    found = bag.topics.get(topic)
+    if found is None or found.type_name != messages.POSE_TYPE:
+        return np.zeros((0, 2))
+    fixes = [messages.planar_pose(bag.message(record))[:2] for record in bag.records({topic})]
+    return np.array(fixes).reshape(-1, 2)
 
 
 def read_track(bag: BagReader, topic: str) -> Track:

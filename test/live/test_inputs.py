@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Int32
 
+from fnn_ekf_ros.pipeline.events import CompassYaw, WheelCount
 from fnn_ekf_ros.ros import localizer as localizer_module
 
 pytestmark = pytest.mark.live
@@ -62,6 +64,36 @@ def test_an_override_that_makes_no_sense_ends_the_node_with_one_line(processes: 
     (line,) = ended.stderr.strip().splitlines()
     assert line.startswith("localizer: the node cannot start: ")
     assert "always" in line
+
+
+def test_of_messages_that_wait_together_the_wheels_are_taken_last(
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They close periods: a reading that was sent before must not come too late for its own."""
+    overrides = (
+        f"qos_overrides./{topic}.subscription.reliability:=reliable"
+        for topic in ("compass", "joint_states")
+    )
+    words = [word for override in overrides for word in ("-p", override)]
+    opened = bench("-p", "encoder_source:=joint_states", *words)
+    opened.set_clock(100 * S)
+    wheels = opened.node.create_publisher(JointState, "joint_states", 10)
+    compass = opened.node.create_publisher(Imu, "compass", 10)
+    for publisher in (wheels, compass):
+        opened.spin_until(publisher.get_subscription_count, "a subscriber")
+    taken: list[type] = []
+    pipeline = opened.localizer.pipeline
+    add = pipeline.add
+    monkeypatch.setattr(pipeline, "add", lambda e, now: taken.append(type(e)) or add(e, now))
+    turned = JointState(name=["left_wheel_joint", "right_wheel_joint"], position=[0.0, 0.0])
+    facing = Imu()
+    facing.orientation.w = 1.0
+    turned.header.stamp.sec = facing.header.stamp.sec = 100
+    for publisher, message in ((wheels, turned), (compass, facing)):
+        publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=60))
+    opened.spin_until(lambda: len(taken) == 3, "all of them")
+    assert taken == [CompassYaw, WheelCount, WheelCount]
 
 
 def test_a_burst_of_joint_states_is_taken_whole(

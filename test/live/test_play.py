@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fnn_ekf_ros import messages
@@ -33,14 +34,14 @@ def played(
     offline: Score,
     rate: int = 10,
 ) -> Score:
-    """Play a bag into a live localizer and score its odom.
+    """Play a bag with ticks into a live localizer and score its odom.
 
-    A localizer that differs from the replay and says itself that it was held up is given another
-    go, at half the rate.
+    Ticks are stamped on arrival: a localizer that differs from the replay and says itself that it
+    was held up is given another go, at half the rate.
     """
     for slower in (1, 2, 4, 8):
         out = processes.folder / f"live{slower}"
-        play_once(processes, patiently, bag, out, options, topics, rate / slower)
+        play_once(processes, patiently, bag, out, options, topics, "--rate", rate / slower)
         live, overruns = scored(out, bag), held_up(out)
         if same(live, offline) or not overruns:
             break
@@ -66,21 +67,26 @@ def play_once(
     out: Path,
     options: list[str],
     topics: list[str],
-    rate: float,
+    *playing: object,
+    expected: int = 0,
 ) -> None:
-    """Play a bag into a live localizer and record what it publishes."""
+    """Play a bag into a live localizer and record what it publishes, so much odom at least."""
     published = {"/odom": messages.ODOMETRY_TYPE, "/diagnostics": messages.DIAGNOSTICS_TYPE}
     with Recorder(out, published) as recorder:
         localizer = processes.start("localizer", "--ros-args", *options, "-p", "use_sim_time:=true")
         patiently(lambda: recorder.spin_once(0.05) or recorder.connected(), "the localizer")
         player = processes.start(
-            "play", bag, "--rate", rate, "--clock", "--topics", *topics,
+            "play", bag, *playing, "--clock", "--topics", *topics,
             "--wait-for-subscribers", 60, "--delay", 1,
         )  # fmt: skip
         patiently(
             lambda: recorder.spin_once(0.05) or player.poll() is not None, "the player", 800.0
         )
         assert player.returncode == 0, processes.output(player)
+        patiently(
+            lambda: recorder.spin_once(0.05) or recorder.counts["/odom"] >= expected,
+            "the last odom",
+        )
         processes.stop(localizer)
         until = time.monotonic() + 0.5
         while time.monotonic() < until:
@@ -112,31 +118,45 @@ def replayed(processes: Any, bag: Path, options: list[str]) -> Score:
     return scored(out, bag)
 
 
-@pytest.mark.parametrize(
-    ("source", "topics", "rate"),
-    [
-        ("joint_states", ["joint_states"], 10),  # stamped by the robot: the rate does not matter
-        ("ticks", ["left_ticks", "right_ticks"], 4),  # stamped on arrival: hiccups count 4 times
-    ],
-)
-def test_live_equals_replay_on_a_simulated_bag(
-    processes: Any,
-    ros_environment: None,
-    patiently: Callable[..., None],
-    source: str,
-    topics: list[str],
-    rate: int,
-) -> None:
-    bag = processes.folder / "bag"
+@pytest.fixture
+def drive(processes: Any) -> Path:
+    """A simulated minute, with its parameters beside it."""
+    bag: Path = processes.folder / "bag"
     made = processes.run("simulate", bag, "--duration", 60, "-p", "seed:=7", "-p", "path:=sim1")
     assert made.returncode == 0, made.stderr
-    options = ["-p", "adaptation:=r", "-p", f"encoder_source:={source}"]
-    if source == "joint_states":  # a node that is held up waits for them
-        options += ["-p", "encoder_timeout:=60.0", "-p", "history:=10.0"]
-    offline = replayed(processes, bag, ["--params", f"{bag}.yaml", *options])
+    return bag
+
+
+def test_live_equals_replay_to_the_last_bit_where_the_player_keeps_pace(
+    processes: Any, ros_environment: None, patiently: Callable[..., None], drive: Path
+) -> None:
+    """Stamped wheels, all else as shipped; however fast it is played, on however busy a machine."""
+    options = ["-p", "encoder_source:=joint_states"]
+    offline, live = processes.folder / "replayed", processes.folder / "live"
+    replayed(processes, drive, ["--params", f"{drive}.yaml", *options])
+    with BagReader(offline) as bag:
+        computed = read_track(bag, "/odom")
+    play_once(
+        processes, patiently, drive, live, ["--params-file", f"{drive}.yaml", *options],
+        ["compass", "lrf_pose", "joint_states"], "--rate", 100, "--keep-pace-with", "odom",
+        expected=len(computed.time_ns),
+    )  # fmt: skip
+    with BagReader(live) as bag:
+        published = read_track(bag, "/odom")
+    np.testing.assert_array_equal(published.time_ns, computed.time_ns)
+    np.testing.assert_array_equal(published.pose, computed.pose)
+    np.testing.assert_array_equal(published.covariance, computed.covariance)
+
+
+def test_live_equals_replay_with_ticks(
+    processes: Any, ros_environment: None, patiently: Callable[..., None], drive: Path
+) -> None:
+    """They are stamped on arrival: played at a low rate, so that hiccups count 4 times only."""
+    options = ["-p", "adaptation:=r"]
+    offline = replayed(processes, drive, ["--params", f"{drive}.yaml", *options])
     live = played(
-        processes, patiently, bag, ["--params-file", f"{bag}.yaml", *options],
-        ["compass", "lrf_pose", *topics], offline, rate,
+        processes, patiently, drive, ["--params-file", f"{drive}.yaml", *options],
+        ["compass", "lrf_pose", "left_ticks", "right_ticks"], offline, 4,
     )  # fmt: skip
     assert live.count >= 0.9 * offline.count
     assert live.rmse_position == pytest.approx(offline.rmse_position, rel=0.05)
@@ -187,6 +207,17 @@ def test_live_equals_replay_on_a_real_robot(
         (["BAG", "--topics", "moon"], "has no topic /moon"),
         (["BAG", "--rate", "0"], "--rate 0: expected"),
         (["BAG", "--wait-for-subscribers", "0.1"], "no subscriber after 0.1 s on"),
+        (["BAG", "--lead", "0"], "--lead 0: expected"),
+        (["BAG", "--patience", "-1"], "--patience -1: expected"),
+        (
+            ["BAG", "--keep-pace-with", "odom", "--patience", "0.1"],
+            "no publisher after 0.1 s on /odom",
+        ),
+        (["BAG", "--keep-pace-with", "compass"], "--keep-pace-with /compass: it is played itself"),
+        (
+            ["BAG", "--keep-pace-with", "/rosout"],
+            "rcl_interfaces/msg/Log: expected one with a header",
+        ),
     ],
 )
 def test_wrong_play_arguments_end_it_with_one_line(

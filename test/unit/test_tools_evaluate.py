@@ -144,3 +144,25 @@ def test_evaluate_draws(tmp_path: Path, recorded: Path, succeed: Succeed) -> Non
         succeed("evaluate", tmp_path / "out", "--plot", tmp_path / name)
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_evaluate_draws_what_is_asked_for(
+    tmp_path: Path, recorded: Path, succeed: Succeed, refuse: Refuse, monkeypatch: Any
+) -> None:
+    plots = pytest.importorskip("fnn_ekf_ros.tools.plots")
+    drawn: list[Any] = []
+    monkeypatch.setattr(plots, "plot_tracks", lambda *given: drawn.append(given))
+    words = ["--odom-topic", "/ground_truth", "--truth-bag", recorded, "--labels", "a", "b"]
+    words = ["evaluate", recorded, recorded, *words, "--plot", tmp_path / "p.png"]
+    said = succeed(*words, "--draw", "b")
+    assert set(table_rows(said)) == {"a", "b"}
+    succeed(*words)
+    succeed(*words, "--highlight", "b", "--fixes-topic", "/nothing")
+    assert [(list(runs), highlight) for _, runs, highlight in drawn] == [
+        (["b"], "b"), (["a", "b"], None), (["a", "b"], "b"),
+    ]  # fmt: skip
+    with BagReader(recorded) as bag:
+        number = bag.topics["/lrf_pose"].message_count
+    assert [len(runs["b"].fixes) for _, runs, _ in drawn] == [number, number, 0]
+    assert "--draw c: expected one of a, b" in refuse(*words, "--draw", "c")
+    assert "--highlight a: expected one of b" in refuse(*words, "--draw", "b", "--highlight", "a")

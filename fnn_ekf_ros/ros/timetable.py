@@ -1,0 +1,67 @@
+"""When the messages of a recording are due."""
+
+import math
+import time
+from collections.abc import Callable
+
+
+class Timetable:
+    """Plays at a rate, and never far ahead of a listener that is kept pace with.
+
+    Until something is heard of the listener, the rate is 1 at most: nothing tells yet whether it
+    keeps up. Time that was spent waiting for it is not made up for afterwards.
+
+    Args:
+        rate: times real time, at most.
+        lead_ns: how far playing may be ahead of the newest stamp heard of the listener [ns]; None:
+            nobody is listened to.
+        now_s: returns a steady wall time [s].
+    """
+
+    def __init__(
+        self, rate: float, lead_ns: int | None, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._rate, self._lead_ns, self._now_s = rate, lead_ns, now_s
+        self.start(0)
+
+    def start(self, first_ns: int) -> None:
+        """Begin the recording at the time of its first message [ns]; nothing is heard yet."""
+        self.played_ns = first_ns
+        self.heard_ns: int | None = None
+        self._anchor()
+
+    def played(self, time_ns: int) -> None:
+        """Tell that everything up to a time [ns] has been played."""
+        self.played_ns = time_ns
+
+    def heard(self, stamp_ns: int) -> bool:
+        """Take a stamp [ns] of the listener; return whether it is new.
+
+        A stamp ahead of what was played comes from before the recording began again.
+        """
+        if stamp_ns > self.played_ns or stamp_ns <= (self.heard_ns or 0):
+            return False
+        if self.heard_ns is None:
+            self._anchor()
+        self.heard_ns = stamp_ns
+        return True
+
+    def held(self, due_ns: int) -> bool:
+        """Return whether a time [ns] is too far ahead of the listener."""
+        if self._lead_ns is None or self.heard_ns is None:
+            return False
+        return due_ns > self.heard_ns + self._lead_ns
+
+    def wait_s(self, due_ns: int) -> float:
+        """Return how long it is until a time [ns] is due [s]; infinity while it is held."""
+        if self.held(due_ns):
+            self._anchor()
+            return math.inf
+        rate = self._rate
+        if self._lead_ns is not None and self.heard_ns is None:
+            rate = min(rate, 1.0)
+        due_s = (due_ns - self._anchor_ns) * 1e-9 / rate
+        return max(0.0, due_s - (self._now_s() - self._anchor_s))
+
+    def _anchor(self) -> None:
+        self._anchor_ns, self._anchor_s = self.played_ns, self._now_s()
