@@ -6,7 +6,6 @@ from pathlib import Path
 
 import yaml
 
-from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.fault_files import vocabulary_table
 from fnn_ekf_ros.pipeline.events import Level
 from fnn_ekf_ros.tools.fault_matrix import (
@@ -19,6 +18,7 @@ from fnn_ekf_ros.tools.fault_matrix import (
     position_error,
 )
 from fnn_ekf_ros.tools.fault_runs import END_S, LASTS_S, ONSET_S, Row, Run
+from fnn_ekf_ros.tools.pictures import new_figure, save
 
 COLUMNS = 6
 SMALLEST_SHOWN_M = 1e-2
@@ -84,14 +84,8 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run]]) -> None:
     Raises:
         FnnEkfError: matplotlib is not installed, or the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise FnnEkfError("pictures need matplotlib: install it, or fnn_ekf_ros[tools]") from None
     height = math.ceil(len(runs) / COLUMNS)
-    figure = Figure(figsize=(2.2 * COLUMNS, 1.4 * height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(2.2 * COLUMNS, 1.4 * height)
     grid = figure.subplots(height, COLUMNS, sharex=True, sharey=True, squeeze=False)
     usual = runs[0][1]
     for axes, (row, run) in zip(grid.flat, runs, strict=False):
@@ -109,10 +103,7 @@ def draw(path: Path, runs: Sequence[tuple[Row, Run]]) -> None:
         axes.set_axis_off()
     figure.supxlabel("robot time [s]", fontsize="small")
     figure.supylabel("position error [m]; gray: no fault", fontsize="small")
-    try:
-        figure.savefig(path, dpi=80, metadata={"Software": None})
-    except (OSError, ValueError) as error:
-        raise FnnEkfError(f"'{path}' cannot be written: {error}") from None
+    save(figure, path, dpi=80)
 
 
 def _line(row: Row, verdict: Verdict) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.tools.pictures import new_figure, save
 from fnn_ekf_ros.tools.scoring import Track, interpolate
 
 SIGMAS = 2.0
@@ -57,11 +57,7 @@ def plot_tracks(path: Path, runs: Mapping[str, Run], highlight: str | None = Non
     Raises:
         FnnEkfError: matplotlib is not installed, or the file cannot be written.
     """
-    figure = draw_tracks(runs, highlight)
-    try:
-        figure.savefig(path, dpi=110, metadata={"Software": None})
-    except (OSError, ValueError) as error:
-        raise FnnEkfError(f"'{path}' cannot be written: {error}") from None
+    save(draw_tracks(runs, highlight), path)
 
 
 def draw_tracks(runs: Mapping[str, Run], highlight: str | None = None) -> Any:
@@ -70,16 +66,10 @@ def draw_tracks(runs: Mapping[str, Run], highlight: str | None = None) -> Any:
     Raises:
         FnnEkfError: matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise FnnEkfError("pictures need matplotlib: install it, or fnn_ekf_ros[tools]") from None
     errors = {name: _errors(run) for name, run in runs.items()}
     with_yaw = any(np.any(np.isfinite(error[:, 2])) for error in errors.values())
     panel_count = 3 if with_yaw else 2
-    figure = Figure(figsize=(13.0, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13.0, 7.5)
     grid = figure.add_gridspec(panel_count, 2, width_ratios=(1.15, 1.0))
     tracks = figure.add_subplot(grid[:, 0])
     panels = [figure.add_subplot(grid[row, 1]) for row in range(panel_count)]

@@ -41,6 +41,7 @@ from fnn_ekf_ros.tools import (
     study_words,
 )
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
+from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.progress import with_progress
 from fnn_ekf_ros.tools.result_folder import make_folder
 from fnn_ekf_ros.tools.simulate import matching_localizer
@@ -159,7 +160,7 @@ def run(arguments: argparse.Namespace) -> int:
     given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}
     filters = study_filters(_localizer(study.paths[0], given))
     names = _chosen(arguments.filters, filters, study)
-    study_figures.require_matplotlib()
+    require_matplotlib()
     out = arguments.out
     numbers = arguments.json or out / "results.json"
     if numbers.parent != out and not numbers.parent.is_dir():

@@ -1,6 +1,5 @@
 """Pictures of the studies; needs matplotlib. Colours are Okabe and Ito's, told apart by all."""
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,15 +8,14 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
-from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.study import dynamic, grid
 from fnn_ekf_ros.study.filters import ORACLE
 from fnn_ekf_ros.study.scenarios import event_steps
 from fnn_ekf_ros.study.starts import FACTORS, Cell
 from fnn_ekf_ros.study.trials import Outcome
+from fnn_ekf_ros.tools.pictures import new_figure, save
 from fnn_ekf_ros.tools.study_tables import AXES, Labels, factor_words, range_words, start_words
 
-DPI = 110
 SMOOTHED_STEPS = 8
 """RMS errors over time are drawn as the RMS over so many steps, 3 s."""
 START_NOTE = "Q, R x 25: the filter starts with a variance of Q, R 25 times the true one"
@@ -42,45 +40,6 @@ _STYLES: dict[str, tuple[str, str]] = {
     "variational_bayes": ("#CC79A7", "-"),
     "multiple_model": ("#CC79A7", "--"),
 }
-
-
-def require_matplotlib() -> None:
-    """Check that pictures can be made.
-
-    Raises:
-        FnnEkfError: matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise FnnEkfError("pictures need matplotlib: install it, or fnn_ekf_ros[tools]") from None
-    del Figure
-
-
-def new_figure(width: float, height: float, fixed_aspect: bool = False) -> Any:
-    """Return an empty figure of a size [inch], for panels of fixed aspect or of any."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="compressed" if fixed_aspect else "constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def save(figure: Any, path: Path) -> None:
-    """Write a figure as a PNG, completely or not at all.
-
-    Raises:
-        FnnEkfError: the file cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
-        partial.replace(path)
-    except OSError as error:
-        raise FnnEkfError(f"'{path}' cannot be written: {error.strerror}") from None
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def line_style(name: str, labels: Labels) -> dict[str, Any]:

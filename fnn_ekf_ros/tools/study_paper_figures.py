@@ -21,14 +21,13 @@ from fnn_ekf_ros.study import paper
 from fnn_ekf_ros.study.filters import DEAD_RECKONING, EKF, PAPER
 from fnn_ekf_ros.study.starts import Cell
 from fnn_ekf_ros.study.trials import Outcome
+from fnn_ekf_ros.tools.pictures import new_figure, save
 from fnn_ekf_ros.tools.study_figures import (
     ERROR_UNITS,
     SMOOTHED_STEPS,
     axis_error,
     line_style,
     logarithmic,
-    new_figure,
-    save,
     smoothed,
 )
 from fnn_ekf_ros.tools.study_tables import Labels, start_words

@@ -45,10 +45,10 @@ from fnn_ekf_ros.tools.bag_inputs import (
     read_events,
 )
 from fnn_ekf_ros.tools.evaluate import read_track
+from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.progress import with_progress
 from fnn_ekf_ros.tools.result_folder import make_folder
 from fnn_ekf_ros.tools.scoring import interpolate
-from fnn_ekf_ros.tools.study_figures import require_matplotlib
 from fnn_ekf_ros.tools.study_real_figures import draw_real
 from fnn_ekf_ros.tools.study_real_tables import BagResult, FilterResult, real_tables, rows
 from fnn_ekf_ros.tools.study_tables import start_words

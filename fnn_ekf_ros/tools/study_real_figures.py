@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from fnn_ekf_ros.study.starts import FACTORS
-from fnn_ekf_ros.tools.study_figures import heat_map, new_figure, save
+from fnn_ekf_ros.tools.pictures import new_figure, save
+from fnn_ekf_ros.tools.study_figures import heat_map
 from fnn_ekf_ros.tools.study_real_tables import BagResult
 
 COLORS = "YlOrBr"

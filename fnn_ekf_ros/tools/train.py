@@ -269,7 +269,7 @@ def _check(arguments: argparse.Namespace, facts: dict[str, Any]) -> None:
     if arguments.out.is_dir():
         raise FnnEkfError(f"--out {arguments.out}: is a folder, expected the name of a file")
     if arguments.plots is not None:
-        from fnn_ekf_ros.tools.train_figures import require_matplotlib
+        from fnn_ekf_ros.tools.pictures import require_matplotlib
 
         require_matplotlib()
         try:

@@ -10,19 +10,10 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.fuzzy import FuzzySets, Inference, gaussian, infer, sigmoid
 from fnn_ekf_ros.membership.files import EXPLAINED, MISMATCH
-from fnn_ekf_ros.tools.study_figures import new_figure, require_matplotlib, save
+from fnn_ekf_ros.tools.pictures import new_figure, save
 from fnn_ekf_ros.training.five_layers import UNITS_PER_SCALE
 from fnn_ekf_ros.training.joint_set import JointTrainingSet
 from fnn_ekf_ros.training.training_set import FARTHEST, STEP_SHARE, TrainingSet
-
-__all__ = [
-    "draw_change",
-    "draw_joint_change",
-    "draw_loss",
-    "draw_membership",
-    "require_matplotlib",
-]
-
 
 MEMBERSHIP_SPAN = 120.0
 """The paper's membership functions are drawn from minus to plus this [their unit]."""

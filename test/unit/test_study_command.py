@@ -16,7 +16,7 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.study import dynamic
 from fnn_ekf_ros.tools import study
-from fnn_ekf_ros.tools.study_figures import save
+from fnn_ekf_ros.tools.pictures import save
 from fnn_ekf_ros.tools.study_paper_figures import paper_figures
 
 Refuse = Callable[..., str]

@@ -1,0 +1,57 @@
+"""Making and writing pictures; the only place that asks whether matplotlib is installed."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from fnn_ekf_ros.errors import FnnEkfError
+
+DPI = 110
+"""Resolution of a picture, unless it says another [dots per inch]."""
+
+
+def require_matplotlib() -> None:
+    """Check that pictures can be made.
+
+    Raises:
+        FnnEkfError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise FnnEkfError("pictures need matplotlib: install it, or fnn_ekf_ros[tools]") from None
+    del Figure
+
+
+def new_figure(width: float, height: float, fixed_aspect: bool = False) -> Any:
+    """Return an empty figure of a size [inch], for panels of fixed aspect or of any.
+
+    Raises:
+        FnnEkfError: matplotlib is not installed.
+    """
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="compressed" if fixed_aspect else "constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Any, path: Path, dpi: int = DPI) -> None:
+    """Write a figure, completely or not at all; as a PNG if its name does not say otherwise.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    kind = path.suffix.removeprefix(".").lower() or "png"
+    metadata = {"Software": None} if kind == "png" else None
+    try:
+        figure.savefig(partial, format=kind, dpi=dpi, metadata=metadata)
+        partial.replace(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FnnEkfError(f"'{path}' cannot be written: {reason}") from None
+    finally:
+        partial.unlink(missing_ok=True)
