@@ -31,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="false",
             choices=["true", "false", "True", "False"],
-            description="Take the time from /clock.",
+            description="Take the time from /clock; this wins over the parameter file.",
         ),
         DeclareLaunchArgument(
             "log_level",

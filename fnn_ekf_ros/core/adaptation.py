@@ -33,6 +33,8 @@ start that is wrong by 25 well enough, and waiting for all of them costs twice a
 
 RULE_COUNT = 3
 """Rules of the network: increase, maintain, decrease."""
+_ROWS_OF_PROCESS = [Row.X, Row.COMPASS_YAW]
+"""Rows in which mode `q` tells of distance and rotation."""
 
 
 class AdaptationMode(StrEnum):
@@ -132,8 +134,8 @@ class Adapted(NamedTuple):
         process_noise: `(..., 2)` diagonal of Q for the nominal period (m^2, rad^2).
         measurement_noise: `(..., 4)` diagonal of R, rows as in `Row`.
         mismatch: `(..., 4)` D of the rows (m^2, m^2, rad^2, rad^2); 0 where there is none yet.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; 0 where
-            nothing was adapted.
+        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; mode `q`,
+            which has none, has Q's in the rows of x and compass yaw. 0 where nothing was adapted.
         process_firing_strength: `(..., 2, 3)` the same for Q's distance and rotation.
     """
 
@@ -196,6 +198,8 @@ def adapt(
         adapted = _adapt_measurement_noise(adaptation, adapted, ready, scales.measurement)
     if adaptation.mode in (AdaptationMode.Q, AdaptationMode.RQ):
         adapted = _adapt_process_noise(adaptation, adapted, ready, heading, scales.process)
+    if adaptation.mode is AdaptationMode.Q:
+        adapted.firing_strength[..., _ROWS_OF_PROCESS, :] = adapted.process_firing_strength
     return adapted
 
 

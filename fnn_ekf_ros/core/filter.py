@@ -118,11 +118,11 @@ class StepResult(NamedTuple):
         innovation: `(..., 4)` r, 0 where not available (m, m, rad, rad).
         innovation_variance: `(..., 4)` diagonal of S.
         available: `(..., 4)` which rows were measured.
-        nis: `(...)` normalised innovation squared of the available rows.
+        nis: `(...)` normalized innovation squared of the available rows.
         degrees_of_freedom: `(...)` how many rows that were.
         mismatch: `(..., 4)` D = S - C_hat.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; in mode
-            `joint` for the four log scales.
+        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; in mode `q`
+            those of Q, in the rows of x and compass yaw; in mode `joint` of the four log scales.
         process_firing_strength: `(..., 2, 3)` the same for Q's distance and rotation, modes `q`
             and `rq`.
         joint: what joint adaptation believes; None in the other modes.

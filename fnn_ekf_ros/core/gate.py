@@ -7,7 +7,7 @@ one exceeds with a small chance, times the sensor's *spread*. Nothing can be loc
                 s <- 1.65 s with one that is rejected and that agrees with none before it
     learning    where R is learned, readings that are rejected and agree with nothing teach, too,
                 that it was too small; the spread stays smaller there, or together they would
-                take a fix in millimetres for one in metres
+                take a fix in millimeters for one in meters
     relocation  readings that are rejected but agree with each other are another place
                 (`relocation`): the pose moves there after some seconds
 
@@ -36,7 +36,7 @@ SPREAD_GROWTH = 1.65
 """With e^(1/2) a rejected reading, a gate that is too tight by 25 in variance opens after six."""
 
 LARGEST_SPREAD = 1e5
-"""Noise is never told too small by more than 300 in std: a fix in millimetres stays rejected."""
+"""Noise is never told too small by more than 300 in std: a fix in millimeters stays rejected."""
 LARGEST_SPREAD_LEARNING = 100.0
 """Where R is learned; 10 in std are bridged at once, what is more is learned."""
 SHARE_MEMORY = 0.9

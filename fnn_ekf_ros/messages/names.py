@@ -66,8 +66,8 @@ NOISE_FIELDS = (
     "rejected_lrf_pose",
     "relocated",
     *(
-        f"firing_{rule}_process_{axis}"
-        for axis in ("forward", "heading")
+        f"firing_{rule}_{axis}"
+        for axis in ("distance", "rotation")
         for rule in ("increase", "maintain", "decrease")
     ),
 )

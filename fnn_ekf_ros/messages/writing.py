@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.evidence import SCALES
-from fnn_ekf_ros.core.filter import StepResult
 from fnn_ekf_ros.core.joint import HYPOTHESES
 from fnn_ekf_ros.messages.names import (
     COMPASS_TYPE,
@@ -158,7 +157,7 @@ def noise(estimate: Estimate) -> Message:
             *result.innovation,
             *result.innovation_variance,
             *result.mismatch,
-            *np.ravel(_firing_by_row(result)),
+            *np.ravel(result.firing_strength),
         ]
         belief = result.joint
         data += [0.0] * _BELIEFS if belief is None else [*belief.log_scale, *belief.weights]
@@ -178,12 +177,15 @@ def noise(estimate: Estimate) -> Message:
 def numbers(estimate: Estimate) -> dict[str, Message]:
     """Return what is published beside `~/noise` to be plotted by name, by private topic.
 
-    The standard deviations are square roots of R and Q in use (m, rad). A NIS is divided by the
-    degrees of freedom of its sensor; one that measured nothing in the period has none.
+    The standard deviations are square roots of the adapted R and of Q for 375 ms (m, rad). A NIS
+    is divided by the degrees of freedom of its sensor; one that measured nothing in the period has
+    none.
     """
     state, result = estimate.state, estimate.result
-    in_use = dict(zip(NOISE_FIELDS, [*state.measurement_noise, *state.process_noise], strict=False))
-    values = {topic: math.sqrt(in_use[field]) for field, topic in STD_TOPICS.items()}
+    variances = dict(
+        zip(NOISE_FIELDS, [*state.measurement_noise, *state.process_noise], strict=False)
+    )
+    values = {topic: math.sqrt(variances[field]) for field, topic in STD_TOPICS.items()}
     if result is not None:
         by_sensor = zip(
             NIS_TOPICS, result.sensor_nis, result.sensor_degrees_of_freedom, strict=True
@@ -273,15 +275,6 @@ def planar_covariance(covariance: FloatArray) -> FloatArray:
     full = np.diag(np.full(6, UNUSED_VARIANCE))
     full[PLANAR] = covariance
     return full
-
-
-def _firing_by_row(result: StepResult) -> FloatArray:
-    """Return the firing strengths `(4, 3)` of R; where only Q moves, Q's in x and compass yaw."""
-    if np.any(result.firing_strength):
-        return result.firing_strength
-    rows = np.zeros_like(result.firing_strength)
-    rows[[Row.X, Row.COMPASS_YAW]] = result.process_firing_strength
-    return rows
 
 
 def _vector(x: float, y: float, z: float) -> Message:

@@ -292,7 +292,7 @@ class WrongUnit(Fault):
     topic: str = _topic(STAMPED)
     duration: float = _duration()
     factor: float = parameter(
-        1000.0, "New number over old; 1000 is millimetres.", at_least=-1e6, at_most=1e6
+        1000.0, "New number over old; 1000: millimeters for meters.", at_least=-1e6, at_most=1e6
     )
     rate: float = _rate()
 

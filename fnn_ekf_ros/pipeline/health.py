@@ -168,7 +168,9 @@ class Health:
         frozen = {sensor: each.accusation() for sensor, each in self._frozen.items()}
         found = self._blame(now_ns, encoders, frozen, watch)
         if encoders.level is Level.OK and found.culprit is Sensor.ENCODERS:
-            what = "the wheels slip, or worse" if found.sizes is None else in_words(found.sizes)
+            what = (
+                "wheel slip or an encoder fault" if found.sizes is None else in_words(found.sizes)
+            )
             message = f"disagree with {OTHERS[Sensor.ENCODERS]}: {what}"
             encoders = encoders._replace(level=Level.WARN, message=message)
         readings = (Readings(), Readings()) if watch is None else watch.readings

@@ -114,7 +114,7 @@ FAULTS: tuple[FaultCase, ...] = (
     _case("lrf_pose_dropout", "no more messages", lambda t: Dropout(start=t, topic=L)),
     _case("lrf_pose_nan", "not a number", lambda t: NotANumber(start=t, topic=L)),
     _case("lrf_pose_frame", "in another frame", lambda t: WrongFrame(start=t, topic=L)),
-    _case("lrf_pose_unit", "millimetres taken for metres",
+    _case("lrf_pose_unit", "millimeters taken for meters",
           lambda t: WrongUnit(start=t, topic=L, factor=1000.0)),
     _case("lrf_pose_late", "2 s late and stamped on arrival",
           lambda t: Delay(start=t, topic=L, size=2.0),

@@ -37,7 +37,7 @@ PLAIN: dict[str, Any] = {"adaptation": "none", "innovation_window": SMALLEST_WIN
 """Parameters of an EKF that adapts nothing."""
 NO_GATE: dict[str, Any] = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 """Parameters of a filter that takes every reading, as the paper's does."""
-SET_BY_NAMES = frozenset({"adaptation", "membership_file", "process_membership_file"})
+SET_BY_NAMES = frozenset({"adaptation", "membership_file", "process_membership_file", "inference"})
 """Parameters that the filters' names decide."""
 PAPER, PAPER_TRAINED, CENTROID = "rq_published", "rq_trained", "rq_centroid"
 

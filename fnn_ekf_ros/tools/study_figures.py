@@ -1,4 +1,4 @@
-"""Pictures of the studies; needs matplotlib. Colours are Okabe and Ito's, told apart by all."""
+"""Pictures of the studies; needs matplotlib. Colors are Okabe and Ito's, told apart by all."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -66,8 +66,8 @@ class _HeatMap(NamedTuple):
     Attributes:
         word: for the file's name.
         title: for the reader.
-        colors: name of the colour map.
-        ticks: of the logarithmic colour bar, which goes from the first to the last.
+        colors: name of the color map.
+        ticks: of the logarithmic color bar, which goes from the first to the last.
     """
 
     word: str
@@ -144,8 +144,8 @@ def heat_map(
     Args:
         panel: to draw on.
         values: `(5, 5)`, q by k.
-        colors: name of the colour map.
-        norm: from values to colours.
+        colors: name of the color map.
+        norm: from values to colors.
         text: what to write for a value.
     """
     image = panel.imshow(values, origin="lower", cmap=colors, norm=norm)

@@ -220,7 +220,9 @@ def _tracks(trial: str, view: View, outcomes: Sequence[Outcome], labels: Labels)
         panel.set_ylabel("y [m]")
     _legend_below(figure)
     first, last = steps.start + 1, min(steps.stop, len(truth))
-    figure.suptitle(f"{_title(trial)}: one run, steps {first} to {last}", fontsize=11)
+    figure.suptitle(
+        f"{paper.TRIALS[trial].capitalize()}: one run, steps {first} to {last}", fontsize=11
+    )
     return figure
 
 
@@ -241,7 +243,7 @@ def _rmse(trial: str, axis: str, outcomes: Sequence[Outcome], labels: Labels) ->
     panels[-1].set_xlim(0.0, NOMINAL_PERIOD_S * len(_outcome(outcomes, trial, EKF).rms))
     _legend_below(figure)
     runs = "RMSE over the runs at each step, not smoothed"
-    figure.suptitle(f"{_title(trial)}: {runs}", fontsize=11)
+    figure.suptitle(f"{paper.TRIALS[trial].capitalize()}: {runs}", fontsize=11)
     return figure
 
 
@@ -262,7 +264,7 @@ def _rivals(trial: str, outcomes: Sequence[Outcome], labels: Labels) -> Any:
         panel.set_xlabel("time [s]")
     _legend_below(figure)
     span = f"RMSE over the runs, root mean square of {SMOOTHED_STEPS} steps"
-    figure.suptitle(f"{_title(trial)}, all filters: {span}", fontsize=11)
+    figure.suptitle(f"{paper.TRIALS[trial].capitalize()}, all filters: {span}", fontsize=11)
     return figure
 
 
@@ -275,11 +277,6 @@ def _error_over_time(outcome: Outcome, cell: Cell, axis: str) -> tuple[FloatArra
 
 def _outcome(outcomes: Sequence[Outcome], trial: str, name: str) -> Outcome:
     return next(o for o in outcomes if (o.trial, o.filter) == (trial, name))
-
-
-def _title(trial: str) -> str:
-    title = paper.TRIALS[trial]
-    return f"{title[0].upper()}{title[1:]}"
 
 
 def _map(panel: Any) -> None:

@@ -9,7 +9,7 @@ from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.study.real import RealScore
 from fnn_ekf_ros.study.scores import LOST_FACTOR
 from fnn_ekf_ros.study.starts import ALL_CELLS, FACTORS
-from fnn_ekf_ros.tools.study_tables import factor_words, plain, table
+from fnn_ekf_ros.tools.study_tables import GATES, factor_words, plain, table
 
 HOW_TO_READ = f"""\
 q, k: variance of Q and of R that the filter is told at the start, over what the parameters say.
@@ -20,6 +20,7 @@ Ratio: to the EKF from the best of its {len(ALL_CELLS)} starts, which takes a gr
 NEES: median over time, of the median start and (from - to) of all; 2.37 where the covariance is
 honest, more where it is too small. Diverged: share of the starts from which the position was off,
 once at least, by more than {LOST_FACTOR:g} times the RMSE of the best EKF.
+{GATES}
 
 Noise in use at the end: median over the starts and (from - to), standard deviations. EKF with it:
 position RMSE of EKFs that run on the noise each start ended with, from begin to end.

@@ -16,6 +16,11 @@ from fnn_ekf_ros.study.trials import Outcome
 Labels = Mapping[str, str]
 """What a filter is called, by name."""
 AXES = ("x", "y", "theta")
+GATES = (
+    "*FNN-EKF joint* and *EKF with gate* reject outliers as the localizer ships; the others, the "
+    "paper's filters too, take every reading."
+)
+"""Which filters of the studies have a gate."""
 HOW_TO_READ = f"""\
 Q / 25, R x 25: the filter starts with a 25th of the true variance of Q and with 25 times that of
 R; q and k are these two factors. RMSE: mean over the runs of each run's. Ratio: RMSE of all runs
@@ -23,8 +28,8 @@ over that of the oracle, an EKF that is told the true Q and R of each step; x / 
 where the covariance is honest; inside: share of the steps at which its mean over the runs lies in
 the 95 % chi-square band. NIS: per degree of freedom, 1 where innovations are as large as expected.
 Diverged: share of the runs whose position was once off by more than {LOST_FACTOR:g} times the
-oracle's RMSE. In brackets: 95 % confidence intervals over the runs. *FNN-EKF joint* and *EKF with
-gate* reject outliers as the localizer ships; the others, the paper's too, take every reading.
+oracle's RMSE. In brackets: 95 % confidence intervals over the runs.
+{GATES}
 """
 
 
@@ -71,9 +76,7 @@ def paper_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
     for trial, title in paper.TRIALS.items():
         for cell in paper.STARTS:
             for name in _ranges(outcomes):
-                parts.append(
-                    f"## {title[0].upper()}{title[1:]}, {start_words(cell)}, {range_words(name)}\n"
-                )
+                parts.append(f"## {title.capitalize()}, {start_words(cell)}, {range_words(name)}\n")
                 parts.append(
                     table(
                         ["filter", "RMSE x [m]", "RMSE y [m]", "RMSE theta [rad]", "ratio",
@@ -93,7 +96,7 @@ def grid_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
     for trial, title in grid.SIMULATIONS.items():
         tried = [o for o in outcomes if o.trial == trial and len(o.cells) > 1]
         for name in _ranges(outcomes):
-            parts.append(f"## {title[0].upper()}{title[1:]}, {range_words(name)}: all starts\n")
+            parts.append(f"## {title.capitalize()}, {range_words(name)}: all starts\n")
             parts.append(
                 table(
                     ["filter", "right start", "worst start", "its worst axis", "its q, k",
@@ -136,7 +139,7 @@ def dynamic_tables(outcomes: Sequence[Outcome], labels: Labels) -> str:
             wrong = [index for index, cell in enumerate(outcome.cells) if cell != RIGHT]
             worst = np.max(outcome.scores["whole"].ratio.value, axis=-1)
             indices = [outcome.cells.index(RIGHT)]
-            indices += [max(wrong, key=lambda index: _or_infinite(worst[index]))] if wrong else []
+            indices += [max(wrong, key=lambda index: or_infinite(worst[index]))] if wrong else []
             for index in indices:
                 start = start_words(outcome.cells[index])
                 texts = [t for name in ranges for t in _brief(outcome.scores[name], index)]
@@ -162,9 +165,9 @@ def _against_fixed(outcomes: Sequence[Outcome], labels: Labels) -> str:
         lines.append(
             [
                 labels[outcome.filter],
-                *(" / ".join(map(_number, value)) for value in (same[right], np.max(same, axis=0))),
+                *(" / ".join(map(number, value)) for value in (same[right], np.max(same, axis=0))),
                 *(
-                    " / ".join(map(_number, value))
+                    " / ".join(map(number, value))
                     for value in (hindsight[right], np.max(hindsight, axis=0))
                 ),
             ]
@@ -216,7 +219,7 @@ def _paper_row(score: Score, index: int) -> list[str]:
     nees = "{:.2f} ({:.2f}-{:.2f})".format(*(end[index] for end in score.nees))
     return [
         *rmse, _ratios(score, index), nees, f"{score.nees_inside[index]:.0%}",
-        _number(score.nis[index]), f"{score.diverged[index]:.0%}",
+        number(score.nis[index]), f"{score.diverged[index]:.0%}",
     ]  # fmt: skip
 
 
@@ -232,7 +235,7 @@ def _grid_row(outcome: Outcome, name: str) -> list[str]:
         _ratios(score, where),
         f"{worst[where]:.2f} ({low:.2f}-{high:.2f})",
         f"{factor_words(cell.q)}, {factor_words(cell.k)}",
-        _number(np.mean(worst)),
+        number(np.mean(worst)),
         f"{np.min(score.nees.value):.2f} - {np.max(score.nees.value):.2f}",
         f"{np.max(score.diverged):.0%}",
     ]
@@ -240,21 +243,23 @@ def _grid_row(outcome: Outcome, name: str) -> list[str]:
 
 def _brief(score: Score, index: int) -> list[str]:
     return [
-        _ratios(score, index), _number(score.nees.value[index]), f"{score.diverged[index]:.0%}",
+        _ratios(score, index), number(score.nees.value[index]), f"{score.diverged[index]:.0%}",
     ]  # fmt: skip
 
 
 def _ratios(score: Score, index: int) -> str:
-    return " / ".join(_number(value) for value in score.ratio.value[index])
+    return " / ".join(number(value) for value in score.ratio.value[index])
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
+    """Return a number as tables show it; n/a if it is not finite."""
     if not math.isfinite(value):
         return "n/a"
     return f"{value:.2f}" if value < 100.0 else f"{value:.3g}"
 
 
-def _or_infinite(value: float) -> float:
+def or_infinite(value: float) -> float:
+    """Return a number that compares as the worst where a filter left the numbers."""
     return value if math.isfinite(value) else math.inf
 
 

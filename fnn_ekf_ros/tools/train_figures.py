@@ -57,7 +57,7 @@ JOINT_SPAN = 3.0
 # Increase, maintain, decrease, and the sets that lead there.
 BLUE, GREEN, RED, GREY = "#0072B2", "#009E73", "#D55E00", "#777777"
 _RULES = ("increase", "maintain", "decrease")
-_COLOURS = (BLUE, GREEN, RED)
+_COLORS = (BLUE, GREEN, RED)
 
 
 def draw_membership(
@@ -80,7 +80,7 @@ def draw_membership(
     figure = new_figure(11.0, 0.6 + 2.9 * len(networks))
     rows = figure.subplots(len(networks), 2, sharex=True, sharey=True, squeeze=False)
     for axes, (title, network) in zip(rows, networks.items(), strict=True):
-        x = _universe(span)
+        x = _universe(span, network.sets)
         _plot_sets(axes[0], x, antecedents(network.sets, x))
         _plot_consequents(axes[1], network.sets, span)
         unit = labels.unit(network)
@@ -119,17 +119,18 @@ def consequents_figure(networks: Mapping[str, FuzzyNetwork], span: float) -> Any
     return figure
 
 
-def _universe(span: float) -> FloatArray:
-    """Return arguments so dense around 0 that no narrow set falls between two of them."""
-    near = span / 120.0
-    return np.unique(
-        np.concatenate([np.linspace(-span, span, 1201), np.linspace(-near, near, 401)])
-    )
+def _universe(span: float, sets: FuzzySets, center: float = 0.0) -> FloatArray:
+    """Return arguments `span` to each side of `center`, dense where a set may be narrow."""
+    near = np.linspace(-1.0, 1.0, 401) * span / 120.0
+    middles = (0.0, sets.zero_center, sets.maintain_center)
+    dense = np.concatenate([middle + near for middle in middles])
+    even = np.linspace(center - span, center + span, 1201)
+    return np.unique(np.concatenate([even, dense[np.abs(dense - center) <= span]]))
 
 
 def _plot_consequents(ax: Any, sets: FuzzySets, span: float, center: float = 0.0) -> None:
     """Plot I, M and D over changes `span` to each side of `center`; a crisp set is a line."""
-    x = center + _universe(span)
+    x = _universe(span, sets, center)
     _plot_sets(ax, x, consequents(sets, x))
     if sets.decrease_slope == 0.0 and abs(sets.decrease_center - center) <= span:
         ax.axvline(sets.decrease_center, color=RED, lw=1.8)
@@ -138,11 +139,11 @@ def _plot_consequents(ax: Any, sets: FuzzySets, span: float, center: float = 0.0
 
 
 def _plot_sets(ax: Any, x: FloatArray, functions: Mapping[str, FloatArray | None]) -> None:
-    for (label, value), colour in zip(functions.items(), _COLOURS, strict=True):
+    for (label, value), color in zip(functions.items(), _COLORS, strict=True):
         if value is None:
-            ax.plot([], [], color=colour, label=label)
+            ax.plot([], [], color=color, label=label)
         else:
-            ax.plot(x, value, color=colour, lw=1.8, label=label)
+            ax.plot(x, value, color=color, lw=1.8, label=label)
     ax.set(xlim=(x[0], x[-1]), ylim=(-0.03, 1.05))
     ax.grid(visible=True, alpha=0.25)
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.1), fontsize="small")
@@ -249,8 +250,8 @@ def _finish_change(
     """Draw the rules' weights below the answers, and give both panels the same axes."""
     top.set_title("What the network answers", fontsize="medium", loc="left")
     top.legend(loc="upper left", fontsize="small")
-    for k, (rule, colour) in enumerate(zip(_RULES, _COLOURS, strict=True)):
-        bottom.plot(x, learned.normalized_firing[:, k], color=colour, lw=1.8, label=rule)
+    for k, (rule, color) in enumerate(zip(_RULES, _COLORS, strict=True)):
+        bottom.plot(x, learned.normalized_firing[:, k], color=color, lw=1.8, label=rule)
     bottom.set_xscale("asinh", linear_width=linear_width)
     bottom.set(ylabel=r"weight $\beta$ of the rule", xlabel=meaning, ylim=(-0.03, 1.03))
     bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")

@@ -178,7 +178,7 @@ def test_the_table_of_noise_has_each_number_once() -> None:
         ("firing_increase_x", "firing"), ("log_scale_forward", "log of the variance"),
         ("weight_start", "weights of the hypotheses"), ("nis_compass", "NIS of the compass"),
         ("rejected_compass", "rejected the compass"), ("relocated", "moved"),
-        ("firing_increase_process_forward", "of Q's rules"),
+        ("firing_increase_distance", "of Q's rules"),
     ):  # fmt: skip
         assert word in meaning[NOISE_FIELDS.index(name)], name
 

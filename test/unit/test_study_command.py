@@ -117,7 +117,7 @@ def test_paper(tmp_path: Path, succeed: Succeed) -> None:
     assert len(re.findall(cell, table)) == 3 * 3 * 2
     assert "## What the numbers show" in table
     assert "*FNN-EKF R and Q, published*" in table
-    assert "the paper's too, take every reading" in table.replace("\n", " ")
+    assert "the paper's filters too, take every reading" in table
 
 
 def test_dynamic(tmp_path: Path, succeed: Succeed, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,6 +165,7 @@ def test_parameters_reach_the_filters(
         (["--filters", ""], "--filters : expected some of "),
         (["--filters", "oracle"], "--filters oracle: expected some of "),
         (["-p", "adaptation:=r"], "parameter 'adaptation': the study itself decides on it"),
+        (["-p", "inference:=centroid"], "parameter 'inference': the study itself decides on it"),
         (["-p", "motion_modle:=paper"], "unknown parameter 'motion_modle': did you mean"),
         (["-p", "innovation_window:=1"], "parameter 'innovation_window' is 1: expected"),
         (["--params", "missing.yaml"], "parameter file 'missing.yaml': No such file"),

@@ -250,6 +250,17 @@ def test_how_right_and_wrong_noise_come_out(trial: Trial, filters: dict[str, Stu
     assert worst(ekf, Cell(1 / 25, 25.0)) > 3.5
 
 
+def test_the_papers_filter_comes_out_alike_from_every_start(
+    trial: Trial, filters: dict[str, StudyFilter]
+) -> None:
+    """Moving both matrices cures any wrong start, and costs as much where the start was right."""
+    paper = try_filter(trial, filters["rq_published"])
+    for cell in CELLS:
+        assert 1.8 < worst(paper, cell) < 2.4, cell
+    ekf = try_filter(trial, filters["ekf"])
+    assert worst(paper, Cell(1 / 25, 25.0)) < 0.6 * worst(ekf, Cell(1 / 25, 25.0))
+
+
 def test_how_the_published_sets_come_out(trial: Trial, filters: dict[str, StudyFilter]) -> None:
     """Adapting R cures a wrong R, not a wrong Q: that is put down to R."""
     adaptive = try_filter(trial, filters["r_published"])

@@ -1,4 +1,6 @@
-"""What a study's results.md says in words: made of its numbers, and of nothing else."""
+"""What a study's results.md says in words, and that its numbers are the study's."""
+
+import math
 
 import numpy as np
 import pytest
@@ -48,7 +50,9 @@ def test_paper_says_where_the_papers_filter_wins_and_where_it_cannot() -> None:
         "| simulation 2, Q / 25, R x 25 | 5.10 | 2.20 | 1.07 |",
     ):
         assert words in text, words
+    assert "forgets its start: 1.70 to 2.20 in simulation 1, 1.70 to 2.20 in simulation 2" in text
     assert "What that costs" not in text
+    assert "plain fuzzy system" not in text
 
 
 def test_learned_and_published_parameters_stand_in_one_table_and_what_they_cost() -> None:
@@ -64,9 +68,12 @@ def test_learned_and_published_parameters_stand_in_one_table_and_what_they_cost(
         assert any(line.startswith(f"| {letter} |") and line.endswith(row)
                    for line in text.splitlines()), letter  # fmt: skip
     assert f"{trained.negative_slope:.4f} where the paper prints 0.1515" in text
-    assert f"b3 {trained.decrease_center:.1f} where it prints -143" in text
-    assert "| a2/a4 | gain of I | 1.00 | 1.47 |" in text
-    assert "| a1/a3 | gain of D | 0.00 | 1.64 |" in text
+    assert f"b3 {trained.decrease_center:.1f} where it prints -143, each in its own unit" in text
+    assert "| a2/a4 | gain of I | 1 | 1.5 |" in text
+    assert "| a1/a3 | gain of D | 0 | 1.6 |" in text
+    gains = sorted([trained.negative_slope / trained.increase_slope,
+                    trained.positive_slope / trained.decrease_slope])  # fmt: skip
+    assert "{:.2g} to {:.2g} of the trained set, 1.5 to 1.6 of the".format(*gains) in text
     assert (
         "simulation 1, right start: 1.20 against 2.10; simulation 1, R x 25: 1.80 against" in text
     )
@@ -82,6 +89,18 @@ def test_grid_ranks_the_filters_by_their_worst_starts() -> None:
     text = grid_words(outcomes, LABELS)
     assert "- simulation 1: joint 1.08, FNN-EKF 2.20, EKF 5.27." in text
     assert "- simulation 2: joint 1.08" in text
+
+
+def test_a_filter_that_left_the_numbers_is_the_worst() -> None:
+    cells = (RIGHT, Cell(25.0, 0.04))
+    outcomes = [
+        outcome(trial, name, cells, [1.0, worst])
+        for trial in grid.SIMULATIONS
+        for name, worst in (("rq_published", math.nan), ("ekf", 5.27), ("joint", 1.08))
+    ]
+    assert "- simulation 1: joint 1.08, EKF 5.27, FNN-EKF n/a." in grid_words(outcomes, LABELS)
+    lost = [*of_paper("ekf", 1.0, 1.7, 5.1), *of_paper("rq_published", 2.1, math.nan, 2.2)]
+    assert "R x 25: the FNN-EKF loses, n/a against 1.70 of the EKF" in paper_words(lost, LABELS)
 
 
 @pytest.mark.parametrize("names", [("ekf",), ("ekf", "rq_published", "joint")])
