@@ -301,7 +301,7 @@ def test_the_same_numbers_as_replay_and_evaluate(
         (["-p", "adaptation:=r"], "parameter 'adaptation': the filters' names decide on it"),
         (
             ["-p", "process_noise_std:=[3.0, 0.1]"],
-            "q = 25, k = 1/25: parameter 'process_noise_std' is [15.0, 0.5]",
+            "Q x 25, R / 25: parameter 'process_noise_std' is [15.0, 0.5]",
         ),
         (["-p", "encoder_source:=joint_states", "-r", "joint_states:=/no"], "has no topic /no"),
         (["-p", "frame_id:=odom"], "gives no odom: expected encoders, fixes and a yaw"),
