@@ -95,7 +95,7 @@ STUDIES = {
     "paper": Study(
         "the paper's simulations and experiment, with its figures",
         tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
-        study_words.paper_words, _paper_tables, study_paper_figures.draw_paper, left_out=(),
+        study_words.paper_words, _paper_tables, study_paper_figures.draw_paper, left_out=(BANK,),
         always=(EKF, PAPER),
         defaults=MappingProxyType({"motion_model": "paper"}),
     ),
