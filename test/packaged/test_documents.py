@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from documents import blocks
 from faults.rows import ROWS
-from write_examples import blocks
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
@@ -29,7 +29,6 @@ from fnn_ekf_ros.pipeline import (
     wheel_sizes,
     wheels,
 )
-from fnn_ekf_ros.ros import play
 from fnn_ekf_ros.study import fault_naming
 from fnn_ekf_ros.tools import study_faults, study_real
 from fnn_ekf_ros.tools.study import STUDIES
@@ -210,11 +209,15 @@ def test_time_has_the_defaults_and_limits_of_the_code() -> None:
     assert f"up to `history` ({default_of(LocalizerParameters, 'history'):g} s) late" in text
     assert f"stamps more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead" in text
     assert f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods" in text
+
+
+def test_time_has_the_defaults_of_the_player_and_its_lead_fits_the_localizer() -> None:
+    pytest.importorskip("rclpy")
+    from fnn_ekf_ros.ros import play
+
+    text = flat("docs/time.md")
     assert f"`--lead` ({play.DEFAULT_LEAD_S:g} s of recorded time)" in text
     assert f"`--patience` ({play.DEFAULT_PATIENCE_S:g} s)" in text
-
-
-def test_the_lead_of_the_player_fits_the_localizer_as_it_is_shipped() -> None:
     period, timeout = (
         default_of(LocalizerParameters, name) for name in ("period", "encoder_timeout")
     )

@@ -7,10 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import fault_matrix
 import numpy as np
 import pytest
-from fault_matrix import main
 from faults import rows
 from faults.recordings import NOTE, Recordings, chosen, code_version
 
@@ -20,6 +18,11 @@ from fnn_ekf_ros.bag_files import BagWriter
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.file_locks import lock
 from fnn_ekf_ros.tools.fault_runs import Row
+
+pytest.importorskip("rclpy")
+
+import fault_matrix
+from fault_matrix import main
 
 CODE, OLDER = "1.0, commit aaaaaaa", "1.0, commit bbbbbbb"
 NO_FAULT = Row("no fault", "nothing")
