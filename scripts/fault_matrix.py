@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -28,6 +29,7 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.file_locks import NO_LOCKS, lock
 from fnn_ekf_ros.stopping import exit_by_signal
 from fnn_ekf_ros.tools.fault_runs import Row
+from fnn_ekf_ros.tools.pictures import require_matplotlib
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
@@ -75,12 +77,43 @@ def send_outcome(sender: Connection, *task: Any) -> None:
     sender.send(reason)
 
 
-def in_a_process(started: list[SpawnProcess], *task: Any) -> str:
-    """Run a row in a process of its own; return what was wrong, or nothing."""
+class Processes:
+    """Processes that are ended together; none is started after that."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._started: list[SpawnProcess] = []
+        self._ended = False
+
+    def start(self, process: SpawnProcess) -> None:
+        """Start a process.
+
+        Raises:
+            FnnEkfError: the processes have been ended.
+        """
+        with self._lock:
+            if self._ended:
+                raise FnnEkfError("interrupted")
+            process.start()
+            self._started.append(process)
+
+    def end(self) -> None:
+        """Terminate all processes."""
+        with self._lock:
+            self._ended = True
+            for process in self._started:
+                process.terminate()
+
+
+def in_a_process(processes: Processes, *task: Any) -> str:
+    """Run a row in a process of its own; return what was wrong, or nothing.
+
+    Raises:
+        FnnEkfError: the processes have been ended.
+    """
     receiver, sender = SPAWN.Pipe(duplex=False)
     process = SPAWN.Process(target=send_outcome, args=(sender, *task))
-    process.start()
-    started.append(process)
+    processes.start(process)
     sender.close()
     try:
         return str(receiver.recv())
@@ -100,10 +133,10 @@ def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[s
     """
     began = time.monotonic()
     failed = []
-    started: list[SpawnProcess] = []
+    processes = Processes()
     with ThreadPoolExecutor(jobs) as pool:
         waiting = {
-            pool.submit(in_a_process, started, row, os.getpid() + number, rate, made_by): row
+            pool.submit(in_a_process, processes, row, os.getpid() + number, rate, made_by): row
             for number, row in enumerate(rows)
         }
         try:
@@ -116,8 +149,7 @@ def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[s
                 print(f"{done:3d} of {len(rows)}, {seconds:4.0f} s: {row.name}{said}", flush=True)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in started:
-                process.terminate()
+            processes.end()
             raise
     return failed
 
@@ -170,6 +202,7 @@ def alone() -> Iterator[None]:
 
     Raises:
         FnnEkfError: another run has them.
+        OSError: the folder cannot be made or used.
     """
     OUT.mkdir(parents=True, exist_ok=True)
     held = None
@@ -192,7 +225,9 @@ def made(arguments: argparse.Namespace) -> None:
 
     Raises:
         FnnEkfError: it cannot be done.
+        OSError: a folder or a file cannot be written.
     """
+    require_matplotlib()  # said before 20 minutes of runs, not after
     recordings = Recordings(OUT, ROWS, UNDISTURBED)
     recordings.remove_new()
     if not arguments.recorded:
@@ -221,7 +256,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with alone():
             made(arguments)
-    except FnnEkfError as error:
+    except (FnnEkfError, OSError) as error:
         print(f"fault_matrix: {error}", file=sys.stderr)
         return FAILURE
     except KeyboardInterrupt:

@@ -1,7 +1,7 @@
 """Ten simulated days in one run of the localizer's pipeline: does anything grow, drift or break?
 
 A robot drives figures of eight, with a rest now and then; its wheels slip, its sensors are noisy,
-its counters wrap, and once an hour something goes wrong: a wild fix, a compass that is silent, a
+its counters wrap, and once an hour something goes wrong: an outlier, a compass that is silent, a
 robot that is carried. Every period is checked: the next multiple of the period, finite, positive
 definite. Prints a line a simulated day; ends with exit code 1 at the first thing that is wrong.
 """

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import demo
+from documents import COMMAND, INDENTED, ROOT, example, files, read
 
 from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.cli import run_command
@@ -23,33 +24,14 @@ from fnn_ekf_ros.pipeline.events import Level
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools.simulate import START_NS
 
-ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = ("README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))))
-COMMAND = "python3 -m fnn_ekf_ros "
-"""How a line of an example begins that is run; NAME stands for any command."""
 BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
-WHEELS: list[str] = getattr(demo, "WHEELS", [])
-"""Where the demo takes the wheels from, if not from ticks."""
-DEMO_RUNS = {
-    "dead reckoning": ("--dead-reckoning", *demo.assigned([*WHEELS, *demo.WRONG, *demo.PLAIN])),
-    "EKF": demo.assigned([*WHEELS, *demo.WRONG, *demo.PLAIN]),
-    "FNN-EKF, replay": demo.assigned([*WHEELS, *demo.WRONG]),
-    "EKF, true noise": demo.assigned([*WHEELS, *demo.PLAIN]),
-}
+DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
 """Lines of the README's table, and what scripts/demo.py tells `replay` for each."""
 MEASURED = ("bias.yaml", "late.yaml")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
 NUMBERS = r"(?:[\d.]+ \| ){3}[\d.]+"
-INDENTED = r"(?: {4}[^\n]*\n)+"
 LATE = ("in time", "late", "stamped on arrival", "waited for")
-
-
-class Block(NamedTuple):
-    """The commands of an indented block of a document."""
-
-    document: str
-    lines: tuple[str, ...]
 
 
 class Shown(NamedTuple):
@@ -67,41 +49,6 @@ class Shown(NamedTuple):
     name: str
     pattern: str
     value: Callable[[Path], str]
-
-
-def read(document: str) -> str:
-    """Return a document's text."""
-    return (ROOT / document).read_text(encoding="utf-8")
-
-
-def blocks(text: str) -> list[str]:
-    """Return the indented blocks of a document, each without its indentation."""
-    found = re.findall(r"(?:^(?: {4}.*)?\n)+", text, flags=re.MULTILINE)
-    return [re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for block in found if block.strip()]
-
-
-def examples(document: str) -> list[Block]:
-    """Return the blocks of a document that have commands to run."""
-    found = []
-    for block in blocks(read(document)):
-        lines = block.replace("\\\n", " ").splitlines()
-        own = [line.strip() for line in lines if line.strip().startswith(COMMAND)]
-        if own and COMMAND + "NAME" not in block:
-            found.append(Block(document, tuple(own)))
-    return found
-
-
-def example(document: str, word: str) -> Block:
-    """Return the block of a document that has a word in its commands."""
-    (found,) = [b for b in examples(document) if word in " ".join(b.lines)]
-    return found
-
-
-def files(document: str) -> dict[str, str]:
-    """Return the content of the files that a document shows after their names."""
-    pattern = rf"`(\w+\.yaml)`(?:(?!\n\n).)*:\n\n({INDENTED})"
-    found = re.findall(pattern, read(document), flags=re.DOTALL)
-    return {name: re.sub(r"^ {4}", "", text, flags=re.MULTILINE) for name, text in found}
 
 
 def run(arguments: Sequence[object], folder: Path) -> str:

@@ -15,6 +15,7 @@ from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.text_files import write_text
+from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.scoring import Score, Track, score
 
 _ROW = "{:<28} {:>7} {:>9} {:>9} {:>11} {:>13} {:>9}"
@@ -78,13 +79,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
-    """Refuse labels and files that do not fit."""
+    """Refuse labels and files that do not fit, and a picture that cannot be drawn."""
     if len(labels) != len(arguments.bags):
         raise FnnEkfError(f"--labels: {len(labels)} labels, expected {len(arguments.bags)}")
     if len(set(labels)) < len(labels):
         raise FnnEkfError(f"{', '.join(labels)}: expected different labels, see --labels")
     if arguments.plot is not None and arguments.plot.suffix != ".png":
         raise FnnEkfError(f"--plot {arguments.plot}: expected a name that ends in .png")
+    if arguments.plot is not None:
+        require_matplotlib()
     drawn = arguments.draw or labels
     highlighted = [] if arguments.highlight is None else [arguments.highlight]
     for option, names, known in (("--draw", drawn, labels), ("--highlight", highlighted, drawn)):

@@ -92,7 +92,11 @@ class Recordings:
         return new
 
     def keep(self, row: Row, made_by: str) -> None:
-        """Put what was recorded in a row's new place into the place of its recording."""
+        """Put what was recorded in a row's new place into the place of its recording.
+
+        Raises:
+            OSError: it cannot be written there.
+        """
         place = self.place(row)
         new, old = (place.with_name(f".{place.name}{end}") for end in (NEW, f".old{NEW}"))
         (new / NOTE).write_text(made_by)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from documents import blocks
 from faults.rows import ROWS
-from write_examples import blocks
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
@@ -29,7 +29,6 @@ from fnn_ekf_ros.pipeline import (
     wheel_sizes,
     wheels,
 )
-from fnn_ekf_ros.ros import play
 from fnn_ekf_ros.study import fault_naming
 from fnn_ekf_ros.tools import study_faults, study_real
 from fnn_ekf_ros.tools.study import STUDIES
@@ -120,7 +119,7 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
     text = flat("docs/diagnostics.md")
     stale = f"{events.STALE_NS / NS:g} s"
     many = f"{blame.MANY_REJECTIONS} or more of its last {watch.READINGS} readings rejected"
-    way, turn = STANDSTILL
+    distance, rotation = STANDSTILL
     band = f"{1.0 - blame.BAND_CHANCE:.1%}".replace("%", " %")
     lost = f"{filter_health.LOST_POSITION_STD:g} m or the yaw worse than"
     for phrase in (
@@ -137,7 +136,8 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
         f"by {frozen.FROZEN_WAY:g} m (fixes) or turned it by {frozen.FROZEN_TURN:g} rad (compass)",
         f"{many}, or these scatter more than the {band} band",
         f"now and {watch.LASTING} readings ago",
-        f"less than {1e3 * way:g} mm and {1e3 * turn:g} mrad in {1e3 * NOMINAL_PERIOD_S:g} ms",
+        f"less than {1e3 * distance:g} mm and {1e3 * rotation:g} mrad in "
+        f"{1e3 * NOMINAL_PERIOD_S:g} ms",
         f"no fix or no yaw accepted for {filter_health.NOT_CORRECTED_NS / NS:g} s of driving",
         f"within {100 * filter_health.BOUND_TOLERANCE:g} % of its bound",
         f"known worse than {lost} {filter_health.LOST_YAW_STD:g} rad (std)",
@@ -210,11 +210,15 @@ def test_time_has_the_defaults_and_limits_of_the_code() -> None:
     assert f"up to `history` ({default_of(LocalizerParameters, 'history'):g} s) late" in text
     assert f"stamps more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead" in text
     assert f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods" in text
+
+
+def test_time_has_the_defaults_of_the_player_and_its_lead_fits_the_localizer() -> None:
+    pytest.importorskip("rclpy")
+    from fnn_ekf_ros.ros import play
+
+    text = flat("docs/time.md")
     assert f"`--lead` ({play.DEFAULT_LEAD_S:g} s of recorded time)" in text
     assert f"`--patience` ({play.DEFAULT_PATIENCE_S:g} s)" in text
-
-
-def test_the_lead_of_the_player_fits_the_localizer_as_it_is_shipped() -> None:
     period, timeout = (
         default_of(LocalizerParameters, name) for name in ("period", "encoder_timeout")
     )
@@ -225,10 +229,10 @@ def test_the_lead_of_the_player_fits_the_localizer_as_it_is_shipped() -> None:
 def test_the_readme_has_the_defaults_of_the_code() -> None:
     text = flat("README.md")
     defaults = {name: value for name, _, value in fields_of(LocalizerParameters)}
-    way, turn = defaults["process_noise_std"]
+    distance, rotation = defaults["process_noise_std"]
     for names, shown in (
         ("max_wheel_speed", f"{defaults['max_wheel_speed']}"),
-        ("process_noise_std", f"[{way:g}, {turn:.4f}]"),
+        ("process_noise_std", f"[{distance:g}, {rotation:.4f}]"),
         (
             "measurement_noise_std",
             "[{:g}, {:g}, {:.4g}]".format(*defaults["measurement_noise_std"]),

@@ -1,18 +1,17 @@
 """`make faults`: which rows are run, what is kept of them, and when the document is written."""
 
+import multiprocessing
 import os
 import shutil
-import subprocess
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import fault_matrix
 import numpy as np
 import pytest
-from fault_matrix import main
-from faults import rows
-from faults.recordings import NOTE, Recordings, chosen, code_version
+from faults.recordings import NOTE, Recordings
 
 import fnn_ekf_ros
 from fnn_ekf_ros import messages
@@ -20,6 +19,11 @@ from fnn_ekf_ros.bag_files import BagWriter
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.file_locks import lock
 from fnn_ekf_ros.tools.fault_runs import Row
+
+pytest.importorskip("rclpy")
+
+import fault_matrix
+from fault_matrix import main
 
 CODE, OLDER = "1.0, commit aaaaaaa", "1.0, commit bbbbbbb"
 NO_FAULT = Row("no fault", "nothing")
@@ -100,7 +104,8 @@ def matrix(tmp_path: Path, bag: Path, monkeypatch: pytest.MonkeyPatch) -> Matrix
         ("OUT", made.out), ("TABLE", made.table), ("ROWS", ALL),
         ("UNDISTURBED", {False: NO_FAULT, True: NO_FAULT}), ("run_row", made.run_row),
         ("code_version", lambda _: made.code), ("in_a_process", in_this_process),
-        ("exit_by_signal", lambda: None), ("ROOT", Path(fnn_ekf_ros.__file__).parents[1]),
+        ("exit_by_signal", lambda: None), ("require_matplotlib", lambda: None),
+        ("ROOT", Path(fnn_ekf_ros.__file__).parents[1]),
     ):  # fmt: skip
         monkeypatch.setattr(fault_matrix, name, value)
     return made
@@ -205,10 +210,21 @@ class Deadly:
     [(None, "AttributeError: 'NoneType'"), (Deadly(), "its process ended with 3")],
 )
 def test_a_process_that_breaks_down_is_one_row_that_did_not_run(row: Any, expected: str) -> None:
-    started: list[Any] = []
-    reason = fault_matrix.in_a_process(started, row, 1, 1.0, CODE)
+    reason = fault_matrix.in_a_process(fault_matrix.Processes(), row, 1, 1.0, CODE)
     assert expected in reason
-    assert not started[0].is_alive()
+    assert not multiprocessing.active_children()
+
+
+def test_no_process_outlives_an_interrupt_nor_is_started_after_it() -> None:
+    processes = fault_matrix.Processes()
+    first, second = (fault_matrix.SPAWN.Process(target=time.sleep, args=(60.0,)) for _ in range(2))
+    processes.start(first)
+    processes.end()
+    first.join(10.0)
+    assert first.exitcode == -signal.SIGTERM
+    with pytest.raises(FnnEkfError, match="interrupted"):
+        processes.start(second)
+    assert second.pid is None
 
 
 def test_an_interrupted_run_writes_nothing_and_can_go_on(
@@ -282,6 +298,40 @@ def test_a_picture_that_cannot_be_drawn_leaves_the_document(
     assert matrix.untouched()
 
 
+def test_a_missing_matplotlib_is_said_before_anything_is_run(
+    matrix: Matrix, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(fault_matrix, "require_matplotlib", fails("pictures need matplotlib"))
+    assert main([]) == 1
+    assert capsys.readouterr().err == "fault_matrix: pictures need matplotlib\n"
+    assert matrix.ran == []
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(
+    matrix: Matrix, capsys: pytest.CaptureFixture[str]
+) -> None:
+    matrix.out.write_text("a file")
+    assert main([]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith("fault_matrix: ")
+    assert str(matrix.out) in err
+    assert err.count("\n") == 1
+    assert matrix.ran == []
+
+
+def test_a_recording_that_cannot_be_kept_is_one_line(
+    matrix: Matrix, capsys: pytest.CaptureFixture[str]
+) -> None:
+    new = matrix.recordings.new_place(SLIP)
+    matrix.trouble[SLIP.name] = (new / NOTE).mkdir
+    assert main([]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith("fault_matrix: ")
+    assert NOTE in err
+    assert err.count("\n") == 1
+    assert matrix.untouched()
+
+
 def test_what_a_killed_run_has_left_is_removed(matrix: Matrix) -> None:
     matrix.record(*ALL)
     (matrix.out / ".slip.new" / "run").mkdir(parents=True)
@@ -319,45 +369,3 @@ def test_wrong_arguments_are_refused(matrix: Matrix, arguments: list[str]) -> No
         main(arguments)
     assert ended.value.code == 2
     assert matrix.ran == []
-
-
-def test_rows_have_names_and_places_of_their_own() -> None:
-    recordings = Recordings(Path("out"), rows.ROWS, rows.UNDISTURBED)
-    names = [row.name for row in rows.ROWS]
-    assert len(set(names)) == len({recordings.place(row) for row in rows.ROWS}) == len(names)
-    assert {row.without for row in rows.ROWS} - {""} <= set(names)
-    assert [row.name for row in chosen(rows.ROWS, ["kidnap"])] == ["kidnap, 20 m"]
-
-
-def test_the_code_is_named_by_its_commit_and_by_its_changes(tmp_path: Path) -> None:
-    def git(*arguments: str) -> None:
-        who = ["-c", "user.name=a", "-c", "user.email=a@b.example"]
-        command = ["git", "-C", str(tmp_path), *who, *arguments]
-        subprocess.run(command, check=True, capture_output=True)
-
-    module = tmp_path / "fnn_ekf_ros" / "a.py"
-    module.parent.mkdir()
-    module.write_text("1\n")
-    assert ", no commit, files " in code_version(tmp_path)
-    git("init", "--quiet")
-    git("add", ".")
-    git("commit", "--quiet", "-m", "one")
-    first = code_version(tmp_path)
-    assert ", commit " in first
-    assert "changes" not in first
-
-    (tmp_path / "README.md").write_text("words\n")
-    assert code_version(tmp_path) == first
-    git("add", ".")
-    git("commit", "--quiet", "-m", "words")
-    assert code_version(tmp_path) == first, "a document changes no run"
-
-    module.write_text("2\n")
-    second = code_version(tmp_path)
-    module.write_text("3\n")
-    assert len({first, second, code_version(tmp_path)}) == 3
-    assert second.startswith(f"{first} with changes ")
-    module.write_text("1\n")
-    assert code_version(tmp_path) == first
-    (tmp_path / "fnn_ekf_ros" / "b.py").write_text("")
-    assert "changes" in code_version(tmp_path), "a file that git does not know yet"

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -146,12 +147,20 @@ def test_evaluate_draws(tmp_path: Path, recorded: Path, succeed: Succeed) -> Non
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
+def test_evaluate_says_that_matplotlib_is_missing_before_it_writes_anything(
+    tmp_path: Path, recorded: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    words = ["--json", tmp_path / "numbers.json", "--plot", tmp_path / "p.png"]
+    assert "pictures need matplotlib" in refuse("evaluate", recorded, *words)
+
+
 def test_evaluate_draws_what_is_asked_for(
     tmp_path: Path, recorded: Path, succeed: Succeed, refuse: Refuse, monkeypatch: Any
 ) -> None:
-    plots = pytest.importorskip("fnn_ekf_ros.tools.plots")
+    pytest.importorskip("matplotlib")
     drawn: list[Any] = []
-    monkeypatch.setattr(plots, "plot_tracks", lambda *given: drawn.append(given))
+    monkeypatch.setattr("fnn_ekf_ros.tools.plots.plot_tracks", lambda *given: drawn.append(given))
     words = ["--odom-topic", "/ground_truth", "--truth-bag", recorded, "--labels", "a", "b"]
     words = ["evaluate", recorded, recorded, *words, "--plot", tmp_path / "p.png"]
     said = succeed(*words, "--draw", "b")

@@ -269,35 +269,6 @@ def test_time_passes_in_a_replay_with_messages_that_hold_nothing(
     assert messages.stamp_ns(last) > end_ns - 900_000_000
 
 
-def test_replay_remaps_topics(tmp_path: Path, recorded: Path, succeed: Succeed) -> None:
-    renamed = tmp_path / "renamed"
-    with BagReader(recorded) as source, BagWriter(renamed) as out:
-        for record in source.records():
-            topic = "/amcl_pose" if record.topic == "/lrf_pose" else record.topic
-            out.write_raw(record._replace(topic=topic))
-    words = ["--params", parameters_of(recorded)]
-    succeed("replay", recorded, tmp_path / "plain", *words)
-    succeed(
-        "replay", renamed, tmp_path / "out", *words, "-r", "lrf_pose:=amcl_pose",
-        "-r", "odom:=/robot/odom",
-    )  # fmt: skip
-    plain = [r.data for r in records(tmp_path / "plain", "/odom")]
-    assert [r.data for r in records(tmp_path / "out", "/robot/odom")] == plain
-
-
-def test_replay_remaps_each_of_its_topics(
-    tmp_path: Path, recorded: Path, succeed: Succeed, refuse: Refuse
-) -> None:
-    words = ["--params", parameters_of(recorded)]
-    succeed("replay", recorded, tmp_path / "out", *words, "-r", "~/nis/compass:=nis")
-    names = {record.topic for record in records(tmp_path / "out")}
-    assert "/nis" in names
-    assert "/localizer/nis/compass" not in names
-    for pair in ("~/nis/compass:=odom", "~/noise/lrf_x_std:=/compass", "~/noise:=/diagnostics"):
-        line = refuse("replay", recorded, tmp_path / "o", *words, "-r", pair)
-        assert f"-r: {messages.absolute_name(pair.partition(':=')[2])} would share a name" in line
-
-
 def test_replay_of_wheels_only_starts_and_then_drifts(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:

@@ -1,0 +1,48 @@
+"""The topics of the command replay under other names."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
+
+Refuse = Callable[..., str]
+Succeed = Callable[..., str]
+
+
+def records(path: Path, *topics: str) -> list[Record]:
+    with BagReader(path) as bag:
+        return list(bag.records(set(topics) or None))
+
+
+def parameters_of(bag: Path) -> Path:
+    return bag.with_name(f"{bag.name}.yaml")
+
+
+def test_replay_remaps_topics(tmp_path: Path, recorded: Path, succeed: Succeed) -> None:
+    renamed = tmp_path / "renamed"
+    with BagReader(recorded) as source, BagWriter(renamed) as out:
+        for record in source.records():
+            topic = "/amcl_pose" if record.topic == "/lrf_pose" else record.topic
+            out.write_raw(record._replace(topic=topic))
+    words = ["--params", parameters_of(recorded)]
+    succeed("replay", recorded, tmp_path / "plain", *words)
+    succeed(
+        "replay", renamed, tmp_path / "out", *words, "-r", "lrf_pose:=amcl_pose",
+        "-r", "odom:=/robot/odom",
+    )  # fmt: skip
+    plain = [r.data for r in records(tmp_path / "plain", "/odom")]
+    assert [r.data for r in records(tmp_path / "out", "/robot/odom")] == plain
+
+
+def test_replay_remaps_each_of_its_topics(
+    tmp_path: Path, recorded: Path, succeed: Succeed, refuse: Refuse
+) -> None:
+    words = ["--params", parameters_of(recorded)]
+    succeed("replay", recorded, tmp_path / "out", *words, "-r", "~/nis/compass:=nis")
+    names = {record.topic for record in records(tmp_path / "out")}
+    assert "/nis" in names
+    assert "/localizer/nis/compass" not in names
+    for pair in ("~/nis/compass:=odom", "~/noise/lrf_x_std:=/compass", "~/noise:=/diagnostics"):
+        line = refuse("replay", recorded, tmp_path / "o", *words, "-r", pair)
+        assert f"-r: {messages.absolute_name(pair.partition(':=')[2])} would share a name" in line
