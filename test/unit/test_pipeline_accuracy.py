@@ -59,7 +59,7 @@ def test_every_odom_of_a_run_is_near_the_truth(
     assert len(found.error) >= 158
     assert np.all(np.isfinite(found.error))
     position = np.linalg.norm(found.error[:, :2], axis=-1)
-    # Right noise and no outliers: a fix alone is good to 0.1 m, the compass to 0.134 rad.
+    # Right noise and no outliers: a fix alone is good to 0.1 m, the compass to sqrt(0.018) rad.
     assert np.max(position) < 0.35
     assert np.max(np.abs(found.error[:, 2])) < 0.45
     assert np.sqrt(np.mean(position**2)) < 0.14  # a fix alone: 0.141

@@ -26,7 +26,7 @@ START_NS = 10 * PERIOD_NS
 STEP_NS = 12_500_000
 SPEED, RATE = 0.5, 0.6
 FORWARD_VARIANCE, TURN_VARIANCE = 0.05**2, math.radians(3.0) ** 2
-R = np.array([0.01, 0.01, 0.018])
+R = np.square([0.1, 0.1, np.sqrt(0.018)])  # users give the roots
 REPORTED = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.02]])
 MakePipeline = Callable[..., Pipeline]
 
