@@ -1,10 +1,16 @@
 """Small text files: read with one clear error, written whole or not at all."""
 
+import hashlib
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fnn_ekf_ros.errors import FnnEkfError
+
+_LONGEST_NAME = 240
+"""A longer name leaves no room for a process number in a file system's 255 [bytes]."""
 
 
 def read_text(path: Path, what: str, kind: type[FnnEkfError]) -> str:
@@ -34,19 +40,31 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    if path.exists() and not path.is_file():
-        raise FnnEkfError(f"'{path}' is no file: expected the name of a file to write")
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    with written_whole(path) as partial, partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yield the name of a hidden file to write, which then replaces a file or is removed.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    partial = path.parent / f".{_stem(path)}.{os.getpid()}"
     try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        if path.exists() and not path.is_file():
+            raise FnnEkfError(f"'{path}' is no file: expected the name of a file to write")
+        yield partial
         partial.replace(path)
-    except OSError as error:
-        raise FnnEkfError(f"'{path}' cannot be written: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FnnEkfError(f"'{path}' cannot be written: {reason}") from None
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError, ValueError):
+            partial.unlink(missing_ok=True)
 
 
 def remove_partials(path: Path) -> int:
@@ -55,7 +73,7 @@ def remove_partials(path: Path) -> int:
     Raises:
         FnnEkfError: one cannot be removed.
     """
-    name = re.compile(rf"\.{re.escape(path.name)}\.[0-9]+")
+    name = re.compile(rf"\.{re.escape(_stem(path))}\.[0-9]+")
     try:
         found = [entry for entry in path.absolute().parent.iterdir() if name.fullmatch(entry.name)]
         for partial in found:
@@ -63,3 +81,9 @@ def remove_partials(path: Path) -> int:
     except OSError as error:
         raise FnnEkfError(f"remains of '{path}': {error.strerror}") from None
     return len(found)
+
+
+def _stem(path: Path) -> str:
+    """Return what the names of a file's partials begin with, short enough for more to follow."""
+    name = os.fsencode(path.name)
+    return path.name if len(name) <= _LONGEST_NAME else hashlib.sha256(name).hexdigest()

@@ -1,6 +1,7 @@
 """Command line arguments that several commands share."""
 
 import argparse
+import re
 from pathlib import Path
 from typing import Any
 
@@ -35,3 +36,8 @@ def given_parameters(arguments: argparse.Namespace, node_name: str) -> dict[str,
     values.update(parse_assignment(text) for text in arguments.assignments)
     refuse_what_ros_refuses(values)
     return values
+
+
+def readable(text: str) -> str:
+    """Return a name that can be printed: U+FFFD stands for bytes that are not UTF-8."""
+    return re.sub("[\ud800-\udfff]", "\N{REPLACEMENT CHARACTER}", text)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,10 @@ from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.text_files import write_text
+from fnn_ekf_ros.tools import plots
+from fnn_ekf_ros.tools.arguments import readable
 from fnn_ekf_ros.tools.pictures import require_matplotlib
+from fnn_ekf_ros.tools.result_folder import check_result_file
 from fnn_ekf_ros.tools.scoring import Score, Track, score
 
 _ROW = "{:<28} {:>7} {:>9} {:>9} {:>11} {:>13} {:>9}"
@@ -24,34 +28,36 @@ _ROW = "{:<28} {:>7} {:>9} {:>9} {:>11} {:>13} {:>9}"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("bags", metavar="BAG", type=Path, nargs="+", help="one run each")
-    parser.add_argument("--odom-topic", default="/odom", metavar="TOPIC", help="(/odom)")
-    parser.add_argument(
-        "--truth-topic", default="/ground_truth", metavar="TOPIC", help="(/ground_truth)"
-    )
+    topic: dict[str, Any] = {"metavar": "TOPIC", "type": messages.absolute_name}
+    parser.add_argument("--odom-topic", default="/odom", help="(/odom)", **topic)
+    parser.add_argument("--truth-topic", default="/ground_truth", help="(/ground_truth)", **topic)
     parser.add_argument(
         "--truth-bag", metavar="BAG", type=Path, help="take the ground truth from this bag"
     )
     parser.add_argument(
-        "--labels", nargs="+", metavar="LABEL", help="names of the runs, one for each bag"
-    )
+        "--labels", nargs="+", metavar="LABEL", type=readable,
+        help="names of the runs, one for each bag",
+    )  # fmt: skip
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the numbers as JSON")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw tracks and errors")
     parser.add_argument(
-        "--draw", nargs="+", metavar="LABEL", help="draw these runs only; the table has all"
-    )
+        "--draw", nargs="+", metavar="LABEL", type=readable,
+        help="draw these runs only; the table has all",
+    )  # fmt: skip
     parser.add_argument(
-        "--highlight", metavar="LABEL",
+        "--highlight", metavar="LABEL", type=readable,
         help="draw this run above the others, with the uncertainty it claims (a single run)",
     )  # fmt: skip
     parser.add_argument(
-        "--fixes-topic", default="/lrf_pose", metavar="TOPIC",
-        help="position fixes to draw, from the bag of the ground truth (/lrf_pose)",
-    )  # fmt: skip
+        "--fixes-topic",
+        help="position fixes to draw, from the bag of the ground truth (/lrf_pose if it is there)",
+        **topic,
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    labels = arguments.labels or [str(path) for path in arguments.bags]
+    labels = arguments.labels or [readable(str(path)) for path in arguments.bags]
     _check(arguments, labels)
     scores: dict[str, Score] = {}
     runs: dict[str, tuple[Track, Track]] = {}
@@ -70,11 +76,16 @@ def run(arguments: argparse.Namespace) -> int:
                 "in common"
             )
         scores[label], runs[label] = result, (estimate, truths[source])
+    if arguments.plot is not None:
+        sources = {label: arguments.truth_bag or path
+                   for label, path in zip(labels, arguments.bags, strict=True)}  # fmt: skip
+        chosen = _runs_to_draw(arguments, sources, runs)
     print(format_table(scores))
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(_plain(scores), indent=2, allow_nan=False) + "\n")
     if arguments.plot is not None:
-        _plot(arguments, dict(zip(labels, arguments.bags, strict=True)), runs)
+        highlight = arguments.highlight or (next(iter(chosen)) if len(chosen) == 1 else None)
+        plots.plot_tracks(arguments.plot, chosen, highlight)
     return 0
 
 
@@ -86,6 +97,11 @@ def _check(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
         raise FnnEkfError(f"{', '.join(labels)}: expected different labels, see --labels")
     if arguments.plot is not None and arguments.plot.suffix != ".png":
         raise FnnEkfError(f"--plot {arguments.plot}: expected a name that ends in .png")
+    taken = [*arguments.bags, *([] if arguments.truth_bag is None else [arguments.truth_bag])]
+    for option, path in (("--json", arguments.json), ("--plot", arguments.plot)):
+        if path is not None:
+            check_result_file(option, path, taken)
+            taken.append(path)
     if arguments.plot is not None:
         require_matplotlib()
     drawn = arguments.draw or labels
@@ -96,30 +112,30 @@ def _check(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
                 raise FnnEkfError(f"{option} {name}: expected one of {', '.join(known)}")
 
 
-def _plot(
+def _runs_to_draw(
     arguments: argparse.Namespace,
-    bags: Mapping[str, Path],
+    sources: Mapping[str, Path],
     runs: Mapping[str, tuple[Track, Track]],
-) -> None:
-    """Draw the runs that were asked for."""
-    from fnn_ekf_ros.tools.plots import Run, plot_tracks
-
+) -> dict[str, plots.Run]:
+    """Return the runs that were asked for, with the fixes in the bags of their ground truth."""
     drawn = list(dict.fromkeys(arguments.draw or runs))
     fixes: dict[Path, FloatArray] = {}
-    for label in drawn:
-        source = arguments.truth_bag or bags[label]
-        if source not in fixes:
-            with BagReader(source) as bag:
-                fixes[source] = _read_fixes(bag, arguments.fixes_topic)
-    highlight = arguments.highlight or (drawn[0] if len(drawn) == 1 else None)
-    chosen = {name: Run(*runs[name], fixes[arguments.truth_bag or bags[name]]) for name in drawn}
-    plot_tracks(arguments.plot, chosen, highlight)
+    for source in {sources[label]: None for label in drawn}:
+        with BagReader(source) as bag:
+            fixes[source] = _read_fixes(bag, arguments.fixes_topic)
+    return {label: plots.Run(*runs[label], fixes[sources[label]]) for label in drawn}
 
 
-def _read_fixes(bag: BagReader, topic: str) -> FloatArray:
-    """Return the positions `(n, 2)` [m] of a topic of pose fixes; none if it is not there."""
-    found = bag.topics.get(topic)
-    if found is None or found.type_name != messages.POSE_TYPE:
+def _read_fixes(bag: BagReader, asked: str | None) -> FloatArray:
+    """Return the positions `(n, 2)` [m] of a topic of pose fixes.
+
+    Raises:
+        BagError: the topic that was asked for is missing or of another type.
+    """
+    topic = asked or messages.absolute_name(messages.LRF_POSE)
+    if asked is not None:
+        _check_topic(bag, topic, messages.POSE_TYPE)
+    elif topic not in bag.topics or bag.topics[topic].type_name != messages.POSE_TYPE:
         return np.zeros((0, 2))
     fixes = [messages.planar_pose(bag.message(record))[:2] for record in bag.records({topic})]
     return np.array(fixes).reshape(-1, 2)
@@ -131,13 +147,7 @@ def read_track(bag: BagReader, topic: str) -> Track:
     Raises:
         BagError: no such topic, another type, or no message.
     """
-    found = bag.topics.get(topic)
-    if found is None or found.type_name != messages.ODOMETRY_TYPE:
-        kind = "missing" if found is None else f"of type {found.type_name}"
-        raise BagError(
-            f"bag '{bag.path}': topic {topic} is {kind}, expected {messages.ODOMETRY_TYPE}; "
-            f"it has {', '.join(sorted(bag.topics)) or 'no topics'}"
-        )
+    _check_topic(bag, topic, messages.ODOMETRY_TYPE)
     stamps, poses, covariances = [], [], []
     for record in bag.records({topic}):
         message = bag.message(record)
@@ -154,6 +164,16 @@ def read_track(bag: BagReader, topic: str) -> Track:
         raise BagError(f"bag '{bag.path}': topic {topic} is empty")
     time_ns, first = np.unique(np.array(stamps), return_index=True)
     return Track(time_ns, np.array(poses)[first], np.array(covariances)[first])
+
+
+def _check_topic(bag: BagReader, topic: str, type_name: str) -> None:
+    found = bag.topics.get(topic)
+    if found is None or found.type_name != type_name:
+        kind = "missing" if found is None else f"of type {found.type_name}"
+        raise BagError(
+            f"bag '{bag.path}': topic {topic} is {kind}, expected {type_name}; "
+            f"it has {', '.join(sorted(bag.topics)) or 'no topics'}"
+        )
 
 
 def format_table(scores: Mapping[str, Score]) -> str:

@@ -1,10 +1,12 @@
 """Making and writing pictures; the only place that asks whether matplotlib is installed."""
 
-import os
+import warnings
 from pathlib import Path
 from typing import Any
 
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.text_files import written_whole
+from fnn_ekf_ros.tools.arguments import readable
 
 DPI = 110
 """Resolution of a picture, unless it says another [dots per inch]."""
@@ -44,14 +46,14 @@ def save(figure: Any, path: Path, dpi: int = DPI) -> None:
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
     kind = path.suffix.removeprefix(".").lower() or "png"
     metadata = {"Software": None} if kind == "png" else None
-    try:
+    with written_whole(path) as partial, warnings.catch_warnings():
+        # Names may be in any script; a box stands for what the font does not have.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         figure.savefig(partial, format=kind, dpi=dpi, metadata=metadata)
-        partial.replace(path)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FnnEkfError(f"'{path}' cannot be written: {reason}") from None
-    finally:
-        partial.unlink(missing_ok=True)
+
+
+def shown_text(name: str) -> str:
+    """Return a name as matplotlib shows it: no formulas, and nothing that is no text."""
+    return readable(name).replace("$", r"\$")

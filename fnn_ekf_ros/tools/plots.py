@@ -8,11 +8,16 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.tools.pictures import new_figure, save
+from fnn_ekf_ros.core.limits import LARGEST_POSITION
+from fnn_ekf_ros.tools.pictures import new_figure, save, shown_text
 from fnn_ekf_ros.tools.scoring import Track, interpolate
 
 SIGMAS = 2.0
 """Half width of the bands, in standard deviations that the filter claims."""
+CLAIMS = (1e-9, LARGEST_POSITION)
+"""Standard deviations outside of this range have no band: they are not those of a pose (m, rad)."""
+PLAIN_EXPONENTS = (-5, 8)
+"""Numbers on the axes are plain between these powers of ten."""
 DIRECTIONS = 24
 """Corners of the polygons that stand for ellipses."""
 MOST_ELLIPSES = 3000
@@ -81,7 +86,7 @@ def draw_tracks(runs: Mapping[str, Run], highlight: str | None = None) -> Any:
     panels[0].set_title("Error (estimate minus ground truth)")
     panels[-1].set_xlabel("time [s]")
     for axes in (tracks, *panels):
-        axes.ticklabel_format(style="plain", useOffset=False)
+        axes.ticklabel_format(scilimits=PLAIN_EXPONENTS, useOffset=False)
         axes.grid(visible=True, alpha=0.25)
         axes.set_axisbelow(True)
     handles, labels = tracks.get_legend_handles_labels()
@@ -149,13 +154,15 @@ def band_polygons(estimate: Track) -> FloatArray:
     center, P = estimate.pose[::stride, :2], estimate.covariance[::stride, :2, :2]
     angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     d = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    spread = np.einsum("ki,nij,kj->nk", d, P, d)
-    known = np.all(spread > 0.0, axis=1) & np.all(np.isfinite(center), axis=1)
+    with np.errstate(all="ignore"):
+        spread = _credible(np.einsum("ki,nij,kj->nk", d, P, d))
+    known = np.all(np.isfinite(spread), axis=1) & np.all(np.isfinite(center), axis=1)
     center, P, std = center[known], P[known], np.sqrt(spread[known])
     corner = center[:, None] + SIGMAS * np.einsum("nij,kj->nki", P, d) / std[..., None]
     reach = center @ d.T + SIGMAS * std
     further = reach[:-1] >= reach[1:]
-    polygons: FloatArray = np.where(further[..., None], corner[:-1], corner[1:])
+    successive = np.diff(np.flatnonzero(known)) == 1
+    polygons: FloatArray = np.where(further[..., None], corner[:-1], corner[1:])[successive]
     return polygons
 
 
@@ -187,7 +194,7 @@ def _draw_errors(
     axes.axhline(0.0, color=TRUTH_COLOR, lw=1.0, zorder=2.0)
     axes.set_ylabel(PANELS[axis])
     best = usual[highlight] if highlight is not None else np.min(list(usual.values()))
-    if np.isfinite(best) and best > 0.0:
+    if np.isfinite(best) and best > CLAIMS[0]:
         limit = min(ERROR_ROOM * best, most)
         axes.set_ylim(-limit, limit)
 
@@ -201,8 +208,14 @@ def _errors(run: Run) -> FloatArray:
 
 def _claimed(estimate: Track, axis: int) -> FloatArray:
     """Return the half width of a run's band `(n,)`; NaN where it claims nothing."""
-    variance = estimate.covariance[:, axis, axis]
-    return SIGMAS * np.sqrt(np.where(variance > 0.0, variance, np.nan))
+    return SIGMAS * np.sqrt(_credible(estimate.covariance[:, axis, axis]))
+
+
+def _credible(variance: FloatArray) -> FloatArray:
+    """Return variances, NaN in place of those that are outside of `CLAIMS`."""
+    low, high = np.square(CLAIMS)
+    found: FloatArray = np.where((variance >= low) & (variance <= high), variance, np.nan)
+    return found
 
 
 def _quantile(values: FloatArray) -> float:
@@ -244,8 +257,8 @@ def _style(name: str, runs: Mapping[str, Run], highlight: str | None) -> dict[st
 
 
 def _text(name: str) -> str:
-    """Return a name as matplotlib shows it: no formulas, and no names that it hides."""
-    escaped = name.replace("$", r"\$")
+    """Return a name as a legend shows it: matplotlib hides those that begin with `_`."""
+    escaped = shown_text(name)
     return f" {escaped}" if escaped.startswith("_") else escaped
 
 

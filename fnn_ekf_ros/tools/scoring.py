@@ -38,7 +38,8 @@ class Score:
         rmse_y: along its y [m].
         rmse_theta: of the yaw [rad]; NaN if truth has none.
         rmse_position: of the distance [m].
-        mean_nees: mean of e' P^-1 e; NaN if truth has no yaw. Its expectation is 3.
+        mean_nees: mean of e' P^-1 e; NaN if truth has no yaw or a covariance is not positive
+            definite. Its expectation is 3.
     """
 
     count: int
@@ -82,9 +83,7 @@ def score(estimate: Track, truth: Track) -> Score | None:
     if np.any(with_yaw):
         e = error[with_yaw]
         theta = float(np.sqrt(np.mean(e[:, 2] ** 2)))
-        P = estimate.covariance[known][with_yaw]
-        if np.all(np.linalg.det(P) > 0.0):
-            nees = float(np.mean(np.sum(e * np.linalg.solve(P, e[..., None])[..., 0], axis=-1)))
+        nees = _mean_nees(e, estimate.covariance[known][with_yaw])
     return Score(
         count=int(np.sum(known)),
         rmse_x=float(rmse[0]),
@@ -93,3 +92,16 @@ def score(estimate: Track, truth: Track) -> Score | None:
         rmse_position=float(np.hypot(*rmse)),
         mean_nees=nees,
     )
+
+
+def _mean_nees(e: FloatArray, P: FloatArray) -> float:
+    """Return the mean of e' P^-1 e = |L^-1 e|^2, where L L' = P; NaN if it is not known."""
+    if not np.all(np.isfinite(P)):
+        return math.nan
+    with np.errstate(all="ignore"):
+        try:
+            whitened = np.linalg.solve(np.linalg.cholesky(P), e[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            return math.nan
+        nees = float(np.mean(np.sum(whitened**2, axis=-1)))
+    return nees if math.isfinite(nees) else math.nan

@@ -43,7 +43,7 @@ from fnn_ekf_ros.tools import (
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.progress import with_progress
-from fnn_ekf_ros.tools.result_folder import make_folder
+from fnn_ekf_ros.tools.result_folder import prepare_study
 from fnn_ekf_ros.tools.simulate import matching_localizer
 from fnn_ekf_ros.version import version
 
@@ -162,10 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
     names = _chosen(arguments.filters, filters, study)
     require_matplotlib()
     out = arguments.out
-    numbers = arguments.json or out / "results.json"
-    if numbers.parent != out and not numbers.parent.is_dir():
-        raise FnnEkfError(f"--json '{numbers}': there is no folder '{numbers.parent}'")
-    make_folder(out)
+    numbers = prepare_study(out, ["results.md"], arguments.json, arguments.params)
     made_by = {
         "study": arguments.study, "version": version(), **size._asdict(), "filters": names,
         "parameters": given,

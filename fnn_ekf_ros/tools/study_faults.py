@@ -35,7 +35,7 @@ from fnn_ekf_ros.study.starts import CORNERS, RIGHT, Cell
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameters
 from fnn_ekf_ros.tools.progress import with_progress
-from fnn_ekf_ros.tools.result_folder import make_folder
+from fnn_ekf_ros.tools.result_folder import prepare_study
 from fnn_ekf_ros.tools.simulate import matching_localizer
 from fnn_ekf_ros.tools.study_tables import plain, start_words, table
 from fnn_ekf_ros.version import version
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     given = given_parameters(arguments, LOCALIZER)
     _setting(PATHS[0], 0, RIGHT, given)  # wrong parameters are refused before anything is made
     out = arguments.out
-    make_folder(out)
+    numbers = prepare_study(out, ["results.md"])
     made_by = {
         "study": NAME, "version": version(), "runs": arguments.runs,
         "quiet_runs": arguments.quiet_runs, "quiet_seconds": arguments.quiet_seconds,
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
             for cell, each in quiet
         ],
     }
-    write_text(out / "results.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_text(numbers, json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_text(out / "results.md", _head(made_by) + fault_tables(cases, named, quiet))
     print(f"{out}: {_shares(named)}")
     print(f"{out / 'results.md'}: the tables")

@@ -47,7 +47,7 @@ from fnn_ekf_ros.tools.bag_inputs import (
 from fnn_ekf_ros.tools.evaluate import read_track
 from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.progress import with_progress
-from fnn_ekf_ros.tools.result_folder import make_folder
+from fnn_ekf_ros.tools.result_folder import prepare_study
 from fnn_ekf_ros.tools.scoring import interpolate
 from fnn_ekf_ros.tools.study_real_figures import draw_real
 from fnn_ekf_ros.tools.study_real_tables import BagResult, FilterResult, real_tables, rows
@@ -111,16 +111,14 @@ def run(arguments: argparse.Namespace) -> int:
     if len(set(labels)) < len(labels):
         raise FnnEkfError(f"{', '.join(labels)}: expected bags of different names")
     out = arguments.out
-    numbers = arguments.json or out / "results.json"
-    if numbers.parent != out and not numbers.parent.is_dir():
-        raise FnnEkfError(f"--json '{numbers}': there is no folder '{numbers.parent}'")
     settings = [_parameters(path, arguments) for path in arguments.bags]
     names = [EKF, *_chosen(arguments.filters, list(localizer_models(settings[0][0])))]
     recordings = [
         _read(path, label, *each, arguments)
         for path, label, each in zip(arguments.bags, labels, settings, strict=True)
     ]
-    make_folder(out)
+    inputs = [*arguments.bags, *arguments.params]
+    numbers = prepare_study(out, ["results.md"], arguments.json, inputs)
 
     made_by = {
         "study": NAME, "version": version(), "filters": names[1:],

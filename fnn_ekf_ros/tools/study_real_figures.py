@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fnn_ekf_ros.study.starts import FACTORS
-from fnn_ekf_ros.tools.pictures import new_figure, save
+from fnn_ekf_ros.tools.pictures import new_figure, save, shown_text
 from fnn_ekf_ros.tools.study_figures import heat_map
 from fnn_ekf_ros.tools.study_real_tables import BagResult
 
@@ -41,7 +41,7 @@ def draw_real(path: Path, result: BagResult) -> None:
     for panel in panels.flat[len(result.filters) :]:
         panel.set_visible(False)
     figure.suptitle(
-        f"{result.label}: position RMSE [m] from {len(FACTORS) ** 2} starts\n"
+        f"{shown_text(result.label)}: position RMSE [m] from {len(FACTORS) ** 2} starts\n"
         f"(ratio to the best EKF's, {_metres(best)} m); q = k = 1: the noise of the parameters",
         fontsize=11,
     )

@@ -24,6 +24,7 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import default_of
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools.progress import with_progress
+from fnn_ekf_ros.tools.result_folder import check_result_file, make_folder
 from fnn_ekf_ros.training.descent import LearningNetwork, descend
 from fnn_ekf_ros.training.five_layers import (
     JOINT_SCALE,
@@ -46,6 +47,8 @@ RANGES = {
     "seed": (0, 2**31 - 1),
     "innovation_window": (2, 200),  # the simulated robots make no more steps than 240
 }
+PLOTS = ("membership.png", "change.png", "loss.png", "training.json")
+"""Files in the folder of `--plots`."""
 LARGEST_RATE = 10.0
 LARGEST_GROWTH = 10.0
 """A loss that has grown so far does not come back."""
@@ -264,18 +267,18 @@ def _check(arguments: argparse.Namespace, facts: dict[str, Any]) -> None:
         raise FnnEkfError(
             f"--rate {facts['rate']:g}: expected more than 0, at most {LARGEST_RATE:g}"
         )
-    if not arguments.out.parent.is_dir():
-        raise FnnEkfError(f"--out {arguments.out}: there is no folder '{arguments.out.parent}'")
-    if arguments.out.is_dir():
-        raise FnnEkfError(f"--out {arguments.out}: is a folder, expected the name of a file")
+    others = []
+    if arguments.plots is not None:
+        pictures = [arguments.plots / name for name in PLOTS]
+        others = [*pictures, arguments.plots, *arguments.plots.absolute().parents]
+    check_result_file("--out", arguments.out, others)
     if arguments.plots is not None:
         from fnn_ekf_ros.tools.pictures import require_matplotlib
 
         require_matplotlib()
-        try:
-            arguments.plots.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FnnEkfError(f"--plots {arguments.plots}: {error.strerror}") from None
+        make_folder(arguments.plots, "--plots")
+        for path in pictures:
+            check_result_file("--plots", path)
 
 
 def _learn(lesson: Lesson, epochs: int, rate: float) -> tuple[FuzzySets, list[float]]:

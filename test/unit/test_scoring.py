@@ -109,3 +109,26 @@ def test_an_estimate_without_covariance_has_no_nees() -> None:
     assert found is not None
     assert found.rmse_theta == 0.0
     assert math.isnan(found.mean_nees)
+
+
+@pytest.mark.parametrize("variance", [math.nan, math.inf, -1.0, 0.0, 1e-320])
+def test_nees_of_a_covariance_that_is_none_is_not_known(variance: float) -> None:
+    estimate = track([1.0, 2.0], [[1.1, 0, 0], [2.1, 0, 0]], [1.0, 1.0, 1.0])
+    estimate.covariance[1, 0, 0] = variance
+    found = score(estimate, STRAIGHT)
+    assert found is not None
+    assert math.isnan(found.mean_nees)
+    assert found.rmse_x == pytest.approx(0.1)
+
+
+def test_two_negative_variances_are_no_covariance() -> None:
+    """Their determinant is positive."""
+    found = score(track([1.0], [[1.1, 0, 0]], [-1.0, -1.0, 1.0]), STRAIGHT)
+    assert found is not None
+    assert math.isnan(found.mean_nees)
+
+
+def test_nees_of_a_pose_that_is_lost_is_nothing() -> None:
+    found = score(track([1.0], [[1.1, 0, 0]], [1e300, 1e300, 1e300]), STRAIGHT)
+    assert found is not None
+    assert found.mean_nees == pytest.approx(0.0, abs=1e-200)

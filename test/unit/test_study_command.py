@@ -170,6 +170,9 @@ def test_parameters_reach_the_filters(
         (["-p", "innovation_window:=1"], "parameter 'innovation_window' is 1: expected"),
         (["--params", "missing.yaml"], "parameter file 'missing.yaml': No such file"),
         (["--json", "nowhere/numbers.json"], "there is no folder 'nowhere'"),
+        (["--json", "."], "--json '.': is a folder"),
+        (["--json", ""], "--json '.': is a folder"),
+        (["--json", "x" * 300], "File name too long"),
     ],
 )
 @pytest.mark.parametrize("name", ["paper", "grid", "dynamic"])
@@ -183,6 +186,22 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, refuse: Refuse) -> None:
     (tmp_path / "file").write_text("mine")
     assert "--out" in refuse("study", "grid", "--out", tmp_path / "file", *TINY)
     assert "--out" in refuse("study", "grid", "--out", tmp_path / "file" / "below", *TINY)
+
+
+@pytest.mark.parametrize("name", ["results.json", "results.md"])
+def test_a_folder_in_the_place_of_a_result(tmp_path: Path, refuse: Refuse, name: str) -> None:
+    (tmp_path / name).mkdir()
+    assert f"{name}': is a folder" in refuse("study", "dynamic", "--out", tmp_path, *TINY)
+    assert f"{name}': is a folder" in refuse("study", "faults", "--out", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["results.md", "localizer_round.yaml", "dynamic.png"])
+def test_numbers_under_the_name_of_another_result(
+    tmp_path: Path, refuse: Refuse, name: str
+) -> None:
+    out = tmp_path / "out"
+    line = refuse("study", "dynamic", "--out", out, "--json", out / name, *TINY)
+    assert "expected a name that ends in .json beside the other results" in line
 
 
 def test_a_picture_is_replaced_only_by_a_whole_one(tmp_path: Path) -> None:

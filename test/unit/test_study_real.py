@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+import shutil
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -312,6 +313,16 @@ def test_what_is_refused(
     tmp_path: Path, refuse: Refuse, recorded: Path, words: list[str], expected: str
 ) -> None:
     assert expected in refuse("study", "real", recorded, "--out", tmp_path / "out", *words)
+
+
+def test_recordings_are_not_replaced(tmp_path: Path, refuse: Refuse, recorded: Path) -> None:
+    victim = tmp_path / "victim"
+    shutil.copytree(recorded, victim)
+    words = ["study", "real", victim, "--params", recorded.with_name("recorded.yaml"), "--out"]
+    assert "is a bag's folder" in refuse(*words, victim)
+    assert "is a bag's folder" in refuse(*words, victim / "out")
+    line = refuse(*words, tmp_path / "out", "--json", victim / "metadata.yaml")
+    assert "lies inside a bag" in line
 
 
 def test_bags_that_are_refused(tmp_path: Path, refuse: Refuse, recorded: Path) -> None:

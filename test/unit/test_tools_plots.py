@@ -136,7 +136,7 @@ def test_without_fixes_none_are_in_the_legend() -> None:
     assert "position fixes" not in legend(figure)
 
 
-@pytest.mark.parametrize("variance", [0.0, math.nan, -1.0])
+@pytest.mark.parametrize("variance", [0.0, math.nan, -1.0, math.inf, 1e308, 1e300, 1e-320])
 def test_a_run_that_claims_nothing_has_no_band(variance: float, tmp_path: Path) -> None:
     silent = square_drive(0.1)
     silent = silent.__class__(silent.time_ns, silent.pose, np.full((101, 3, 3), variance))
@@ -145,6 +145,25 @@ def test_a_run_that_claims_nothing_has_no_band(variance: float, tmp_path: Path) 
     assert 0.1 < figure.axes[1].get_ylim()[1] < 0.5
     plot_tracks(tmp_path / "p.png", {"hero": run(silent)}, "hero")
     assert (tmp_path / "p.png").stat().st_size > 10000
+
+
+def test_there_is_no_band_where_a_claim_is_far_from_the_errors() -> None:
+    claims = square_drive(0.1)
+    claims.covariance[40:60] = 1e300 * np.eye(3)
+    figure = draw_tracks({"hero": run(claims)}, "hero")
+    assert figure.axes[1].get_ylim()[1] < 0.5
+    assert len(band_polygons(claims)) == 39 + 40
+    assert np.max(np.abs(band_polygons(claims))) < 6.0
+
+
+def test_errors_of_extreme_size_have_short_labels(tmp_path: Path) -> None:
+    far = square_drive(9e7)
+    figure = draw_tracks({"hero": run(far)}, "hero")
+    figure.canvas.draw()
+    assert max(len(label.get_text()) for label in figure.axes[1].get_yticklabels()) < 12
+    tiny = square_drive()
+    tiny.pose[:, 0] += 1e-12
+    plot_tracks(tmp_path / "p.png", {"hero": run(tiny)}, "hero")
 
 
 def test_gaps_and_values_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
@@ -171,6 +190,13 @@ def test_names_are_shown_as_they_are() -> None:
     figure = draw_tracks({"_a": run(square_drive(0.1)), "$x": run(square_drive(0.2))})
     assert " _a" in legend(figure)
     assert r"\$x" in legend(figure)
+
+
+def test_names_that_are_no_text_and_have_no_glyphs(tmp_path: Path) -> None:
+    runs = {"\udcff": run(square_drive(0.1)), "\U0001f916": run(square_drive(0.2))}
+    plot_tracks(tmp_path / "p.png", runs, "\udcff")
+    assert (tmp_path / "p.png").stat().st_size > 10000
+    assert "\ufffd" in legend(draw_tracks(runs))
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e6])

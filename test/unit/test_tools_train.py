@@ -206,6 +206,18 @@ def test_train_refuses_places_it_cannot_write_to(tmp_path: Path, refuse: Refuse)
     (tmp_path / "file").write_text("mine")
     line = refuse("train", "--out", tmp_path / "out.yaml", "--plots", tmp_path / "file")
     assert "--plots" in line
+    plots, picture = tmp_path / "plots", tmp_path / "plots" / "loss.png"
+    assert "or another result" in refuse("train", "--out", plots, "--plots", plots)
+    plots.mkdir()
+    assert "or another result" in refuse("train", "--out", picture, "--plots", plots)
+    picture.mkdir()
+    line = refuse("train", "--out", tmp_path / "out.yaml", "--plots", plots)
+    assert f"--plots '{picture}': is a folder" in line
+    (tmp_path / "metadata.yaml").write_text("of a bag")
+    assert "lies inside a bag" in refuse("train", "--out", tmp_path / "metadata.yaml")
+    line = refuse("train", "--out", plots / "out.yaml", "--plots", tmp_path)
+    assert "--plots" in line
+    assert "is a bag's folder" in line
 
 
 def test_a_rate_that_is_too_large_is_refused(
