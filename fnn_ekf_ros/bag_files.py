@@ -361,8 +361,15 @@ class BagWriter:
 
 
 def file_beside(bag: Path) -> Path:
-    """Return where the parameter file that goes with a bag lies: `NAME.yaml` beside `NAME`."""
-    return bag.with_name(f"{bag.name}.yaml")
+    """Return where the parameter file that goes with a bag lies: `NAME.yaml` beside `NAME`.
+
+    Raises:
+        BagError: the path is the root of the file system.
+    """
+    named = bag.resolve() if bag.name in ("", "..") else bag
+    if not named.name:
+        raise BagError(f"'{bag}' has no name: expected the folder or the file of a recording")
+    return named.with_name(f"{named.name}.yaml")
 
 
 def refuse_existing(path: Path) -> None:

@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError
@@ -72,36 +73,54 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run_command(name: str, argv: Sequence[str] | None = None) -> int:
     """Run one executable; returns the exit code.
 
-    A `FnnEkfError` ends here, as one line on stderr.
+    A `FnnEkfError` ends here, as one line on stderr; so do a full disk and a lack of memory.
     """
     given = list(sys.argv[1:] if argv is None else argv)
-    command = COMMANDS[name]
     try:
-        stop_by_signal() if command.stops_by_signal else exit_by_signal()
-        own, ros_arguments = _split(given) if command.is_node else (given, [])
-        # Nodes tell their version without ROS, too: before their module is imported.
-        early = argparse.ArgumentParser(prog=name, add_help=False, allow_abbrev=False)
-        _add_version(early, f"{name} ({PACKAGE})")
-        early.parse_known_args(own)
-        summary = f"{command.summary[0].upper()}{command.summary[1:]}."
-        parser = argparse.ArgumentParser(prog=name, description=summary, parents=[early])
-        if command.is_node:
-            parser.usage = (
-                "%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
-            )
-        module = importlib.import_module(command.module)
-        module.add_arguments(parser)
-        arguments = parser.parse_args(own)
-        return int(module.run(ros_arguments if command.is_node else arguments))
+        try:
+            return _run(name, COMMANDS[name], given)
+        finally:
+            print(end="", flush=True)  # what cannot be written is reported here, not at exit
     except FnnEkfError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return FAILURE
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:
-        # Whoever read the output has gone; keep Python from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever read the output has gone
+        _discard_output()
         return FAILURE
+    except MemoryError:
+        print(f"{name}: out of memory", file=sys.stderr)
+        return FAILURE
+    except OSError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        _discard_output()
+        return FAILURE
+
+
+def _run(name: str, command: Command, given: list[str]) -> int:
+    stop_by_signal() if command.stops_by_signal else exit_by_signal()
+    own, ros_arguments = _split(given) if command.is_node else (given, [])
+    # Nodes tell their version without ROS, too: before their module is imported.
+    early = argparse.ArgumentParser(prog=name, add_help=False, allow_abbrev=False)
+    _add_version(early, f"{name} ({PACKAGE})")
+    early.parse_known_args(own)
+    summary = f"{command.summary[0].upper()}{command.summary[1:]}."
+    parser = argparse.ArgumentParser(prog=name, description=summary, parents=[early])
+    if command.is_node:
+        parser.usage = (
+            "%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
+        )
+    module = importlib.import_module(command.module)
+    module.add_arguments(parser)
+    arguments = parser.parse_args(own)
+    return int(module.run(ros_arguments if command.is_node else arguments))
+
+
+def _discard_output() -> None:
+    """Send what is still to be written nowhere, so that Python does not fail on it at exit."""
+    with suppress(AttributeError, OSError):  # no stdout, or one that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class _Version(argparse.Action):

@@ -5,26 +5,33 @@ keeps up, records its odom, and compares: wheels alone, the plain EKF and the FN
 (`adaptation: joint`, the default), all started with wheel noise five times too small and
 measurement noise five times too large (variances wrong by 25), and the EKF that was told the true
 noise.
+
+The results go into demo/ once all of them are there; until then it keeps the last ones.
 """
 
+import argparse
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
+from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import ODOMETRY_TYPE
 from fnn_ekf_ros.ros.record import Recorder
+from fnn_ekf_ros.stopping import exit_by_signal
+from fnn_ekf_ros.work_folders import WorkFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG, PARAMETERS, OUT = Path("bags/round"), Path("bags/round.yaml"), Path("demo")
+PICTURE, NUMBERS = "tracks.png", "errors.json"
 RATE = 20
-PATIENCE_S = 60.0
+PATIENCE_S, STOPPING_S = 60.0, 10.0
+FAILURE, INTERRUPTED = 1, 130
 WHEELS = ["encoder_source:=joint_states"]
 """They carry the robot's stamps, so the result does not depend on when they arrive."""
 WRONG = ["process_noise_std:=[0.01, 0.0105]", "measurement_noise_std:=[0.5, 0.5, 0.67]"]
@@ -61,18 +68,51 @@ REPLAYS = {
 
 
 @contextmanager
-def running(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process for the length of a block, ended by SIGINT."""
-    process = subprocess.Popen(arguments)
+def signals_deferred() -> Iterator[None]:
+    """Let signals that end the demo take effect at the end of a block."""
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
     try:
-        yield process
+        yield
     finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=PATIENCE_S)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """End a process by SIGTERM, or by SIGKILL if need be."""
+    process.terminate()
+    try:
+        process.wait(timeout=STOPPING_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def running(arguments: list[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """Run a process for the length of a block.
+
+    It has a process group of its own: Ctrl-C is the demo's, which then ends the process.
+    """
+    with ExitStack() as stack:
+        with signals_deferred():
+            process = subprocess.Popen(arguments, process_group=0, text=True, **options)
+            stack.callback(end, process)
+        yield process
 
 
 def live(out: Path) -> None:
-    """Record what the live localizer makes of the played bag."""
+    """Record what the live localizer makes of the played bag.
+
+    Raises:
+        FnnEkfError: the localizer or play failed.
+    """
     assignments = assigned([*WHEELS, *WRONG, "use_sim_time:=true"])
     ros = [
         "--ros-args", "--params-file", PARAMETERS, *assignments, "--log-level", "localizer:=error",
@@ -82,7 +122,7 @@ def live(out: Path) -> None:
         while not recorder.connected():
             recorder.spin_once(0.05)
             if time.monotonic() > deadline:
-                sys.exit("demo: the localizer did not come up")
+                raise FnnEkfError("the localizer did not come up")
         play = command(
             "play", BAG, "--rate", RATE, "--clock", "--keep-pace-with", "odom",
             "--patience", PATIENCE_S, "--topics", *PLAYED,
@@ -93,7 +133,7 @@ def live(out: Path) -> None:
                 recorder.spin_once(0.05)
                 show(f"  {recorder.counts['/odom']} odom")
         if player.returncode:
-            sys.exit("demo: play failed")
+            raise FnnEkfError("play failed")
         quiet = time.monotonic() + 1.0
         while time.monotonic() < quiet:
             before = recorder.counts["/odom"]
@@ -104,13 +144,44 @@ def live(out: Path) -> None:
     print(f"  {recorder.counts['/odom']} odom")
 
 
-def replay(name: str) -> str:
-    """Run the localizer's pipeline over the bag; return what the command says."""
-    arguments = command("replay", BAG, OUT / name, "--params", PARAMETERS, *REPLAYS[name])
-    done = subprocess.run(arguments, check=False, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"demo: {done.stderr}")
-    return done.stdout.strip()
+def replay(out: Path) -> None:
+    """Run the localizer's pipeline over the bag in each of the ways to compare with.
+
+    Raises:
+        FnnEkfError: a replay failed.
+    """
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with ExitStack() as stack:
+        started = [
+            stack.enter_context(
+                running(
+                    command("replay", BAG, out / name, "--params", PARAMETERS, *arguments), **pipes
+                )
+            )
+            for name, arguments in REPLAYS.items()
+        ]
+        for process in started:
+            said, trouble = process.communicate()
+            if process.returncode:
+                raise FnnEkfError(trouble.strip())
+            print(f"  {said.strip().replace(str(out), str(OUT))}")
+
+
+def evaluate(out: Path) -> None:
+    """Print the table; write the numbers and the picture.
+
+    Raises:
+        FnnEkfError: evaluate failed.
+    """
+    arguments = command(
+        "evaluate", *(out / name for name in RUNS.values()), "--truth-bag", BAG,
+        "--labels", *RUNS, "--json", out / NUMBERS, "--plot", out / PICTURE,
+        "--highlight", LIVE, "--draw", "dead reckoning", "EKF", LIVE,
+    )  # fmt: skip
+    with running(arguments) as process:
+        process.wait()
+    if process.returncode:
+        raise FnnEkfError("evaluate failed")
 
 
 def show(text: str) -> None:
@@ -119,37 +190,69 @@ def show(text: str) -> None:
         print(f"\r{text}", end="", flush=True)
 
 
-def main() -> None:
-    """Run the demo."""
+@contextmanager
+def replaced(out: Path) -> Iterator[Path]:
+    """Give a new folder to a block, which replaces the old one if the block succeeds.
+
+    Raises:
+        FnnEkfError: what is there is no folder.
+        OSError: the folder cannot be made or replaced.
+    """
+    if os.path.lexists(out) and (out.is_symlink() or not out.is_dir()):
+        raise FnnEkfError(f"'{out}' is no folder: remove it first")
+    work = WorkFolder(out)
+    new, old = work.path / out.name, work.path / "old"
+    try:
+        work.make()
+        new.mkdir()
+        yield new
+        if out.exists():
+            out.rename(old)
+        new.rename(out)
+    finally:
+        if old.exists() and not out.exists():
+            old.rename(out)
+        work.remove()
+
+
+def run() -> None:
+    """Run the demo.
+
+    Raises:
+        FnnEkfError: a part of it failed.
+        OSError: a folder or a file cannot be written.
+    """
+    with replaced(OUT) as out:
+        print(f"Playing {BAG} into the live localizer, up to {RATE} times real time:")
+        live(out / "live")
+        print("Replaying it offline for comparison:")
+        replay(out)
+        print(
+            "\nErrors against the ground truth. All but the last run start with wheel noise five "
+            "times too small\nand measurement noise five times too large:\n"
+        )
+        evaluate(out)
+    print(f"\nPicture: {OUT / PICTURE}, numbers: {OUT / NUMBERS}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the demo; return the exit code."""
+    argparse.ArgumentParser(description=__doc__).parse_args(argv)
+    exit_by_signal()
     sys.stdout.reconfigure(line_buffering=True)  # in order with what the commands print
     os.chdir(ROOT)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 90))  # two demos do not meet
-    shutil.rmtree(OUT, ignore_errors=True)
-    OUT.mkdir()
-    print(f"Playing {BAG} into the live localizer, up to {RATE} times real time:", flush=True)
-    live(OUT / "live")
-    print("Replaying it offline for comparison:", flush=True)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for said in pool.map(replay, REPLAYS):
-            print(f"  {said}")
-    print(
-        "\nErrors against the ground truth. All but the last run start with wheel noise five times "
-        "too small\nand measurement noise five times too large:\n"
-    )
-    picture, numbers = OUT / "tracks.png", OUT / "errors.json"
-    done = subprocess.run(
-        command(
-            "evaluate", *(OUT / name for name in RUNS.values()), "--truth-bag", BAG,
-            "--labels", *RUNS, "--json", numbers, "--plot", picture,
-            "--highlight", LIVE, "--draw", "dead reckoning", "EKF", LIVE,
-        ),
-        check=False,
-    )  # fmt: skip
-    if done.returncode:
-        sys.exit("demo: evaluate failed")
-    print(f"\nPicture: {picture}, numbers: {numbers}")
+    try:
+        run()
+    except (FnnEkfError, OSError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return FAILURE
+    except KeyboardInterrupt:
+        print(f"demo: interrupted, {OUT}/ stays as it was", file=sys.stderr)
+        return INTERRUPTED
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

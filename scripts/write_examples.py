@@ -4,6 +4,7 @@ Numbers in README.md and docs/*.md that a command beside them gives are rewritte
 line of the live run in the README's table is not: `make demo` prints it.
 """
 
+import argparse
 import contextlib
 import io
 import re
@@ -188,8 +189,9 @@ def shown_in(text: str, shown: Shown) -> re.Match[str]:
     return found[0]
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     """Rewrite what the documents show."""
+    argparse.ArgumentParser(description=__doc__).parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
         for shown in SHOWN:
             value = shown.value(Path(folder))

@@ -32,6 +32,7 @@ from fnn_ekf_ros.messages.names import (
     TWIST_TYPE,
     absolute_name,
     input_topics,
+    is_topic_name,
     output_topics,
 )
 from fnn_ekf_ros.messages.reading import (
@@ -100,6 +101,7 @@ __all__ = [
     "estimate_messages",
     "header",
     "input_topics",
+    "is_topic_name",
     "noise",
     "numbers",
     "odometry",

@@ -1,5 +1,7 @@
 """Names and types of the topics, and what the numbers of `~/noise` are."""
 
+import re
+
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.evidence import SCALES
 from fnn_ekf_ros.core.joint import HYPOTHESES
@@ -30,6 +32,10 @@ POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 TWIST_TYPE = "geometry_msgs/msg/Twist"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
+
+_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+_LONGEST_NAME = 247
+"""RMW_TOPIC_MAX_NAME_LENGTH [characters]."""
 
 INPUT_TYPES = {
     LEFT_TICKS: TICKS_TYPE,
@@ -112,6 +118,11 @@ def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:
         LEFT_TICKS, RIGHT_TICKS,
     )  # fmt: skip
     return (COMPASS, LRF_POSE, INITIAL_POSE, *wheels)
+
+
+def is_topic_name(text: str) -> bool:
+    """Return whether ROS allows a text as a topic's name, absolute or relative."""
+    return bool(_NAME.fullmatch(text)) and len(absolute_name(text)) <= _LONGEST_NAME
 
 
 def absolute_name(topic: str) -> str:

@@ -1,6 +1,7 @@
 """`play BAG`: publishes a recorded bag where `ros2 bag` is not installed."""
 
 import argparse
+import math
 import sys
 import time
 from contextlib import closing
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Refuse numbers out of range."""
+    """Refuse numbers out of range and what is no topic's name."""
     for option, value, least, most, unit in (
         ("--rate", arguments.rate, 1e-3, 1e4, ""),
         ("--delay", arguments.delay, 0.0, 1e6, " seconds"),
@@ -108,6 +109,9 @@ def _check(arguments: argparse.Namespace) -> None:
     ):
         if value is not None and not least <= value <= most:
             raise FnnEkfError(f"{option} {value:g}: expected {least:g} to {most:.0f}{unit}")
+    topic = arguments.keep_pace_with
+    if topic is not None and not messages.is_topic_name(topic):
+        raise FnnEkfError(f"--keep-pace-with {topic[:80]!r}: expected a topic's name")
 
 
 class _Player:
@@ -150,6 +154,8 @@ class _Player:
             self._listener = StampListener(node, self._topic, arguments.patience)
             lead_ns = round(arguments.lead * 1e9)
         self._timetable = Timetable(arguments.rate, lead_ns)
+        self._patient_until_s = math.inf
+        self._ahead_ns: int | None = None
 
     def wait_for_subscribers(self, patience_s: float) -> None:
         """Return when all publishers are matched.
@@ -181,7 +187,8 @@ class _Player:
         """Publish the recording once.
 
         Raises:
-            FnnEkfError: who is kept pace with publishes nothing any more, or never did.
+            FnnEkfError: who is kept pace with publishes nothing any more, or never did, or what is
+                ahead of the recording.
         """
         timetable = self._timetable
         records = bag.records(set(self._publishers))
@@ -189,6 +196,8 @@ class _Player:
         for record in with_progress(records, self._count(bag), "play"):
             if not started:
                 timetable.start(record.time_ns)
+                self._patient_until_s = time.monotonic() + self._patience_s
+                self._ahead_ns = None
                 self._tell_clock(record.time_ns)
                 started = True
             while not STOPPED.is_set():
@@ -205,7 +214,7 @@ class _Player:
                 return
             self._publishers[record.topic].publish(bytes(record.data))
         if self._listener is not None and timetable.heard_ns is None:
-            raise FnnEkfError(f"nothing came on {self._topic} to keep pace with")
+            raise FnnEkfError(self._nothing_to_keep_pace_with())
 
     def close(self) -> None:
         """Stop listening."""
@@ -235,7 +244,23 @@ class _Player:
             STOPPED.wait(timeout_s)
             return False
         stamp_ns = self._listener.next_ns(timeout_s)
-        return stamp_ns is not None and self._timetable.heard(stamp_ns)
+        if stamp_ns is None:
+            return False
+        timetable = self._timetable
+        if timetable.heard_ns is None and stamp_ns > timetable.played_ns:
+            self._ahead_ns = stamp_ns
+            if time.monotonic() > self._patient_until_s:
+                raise FnnEkfError(self._nothing_to_keep_pace_with())
+        return timetable.heard(stamp_ns)
+
+    def _nothing_to_keep_pace_with(self) -> str:
+        came = f"nothing came on {self._topic} to keep pace with"
+        if self._ahead_ns is not None:
+            came = (
+                f"{self._topic} is stamped {self._ahead_ns * 1e-9:.3f} s while "
+                f"{self._timetable.played_ns * 1e-9:.3f} s is played"
+            )
+        return f"{came}: does its node have use_sim_time:=true, and play --clock?"
 
     def _silence(self, heard_ns: int) -> str:
         return (

@@ -1,7 +1,6 @@
 """What of a recording the localizer listens to, for all commands that run the pipeline."""
 
 import argparse
-import re
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagError, BagReader, Record
@@ -9,9 +8,6 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.events import Event, Rejected
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
-
-_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-"""A topic's name as ROS allows it."""
 
 
 def add_remapping_argument(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +29,7 @@ class TopicNames:
         self._to: dict[str, str] = {}
         for text in remappings:
             source, separator, target = text.partition(":=")
-            if not (separator and _NAME.fullmatch(target)):
+            if not (separator and messages.is_topic_name(target)):
                 raise FnnEkfError(f"-r {text}: expected FROM:=TO, TO a topic's name")
             if messages.absolute_name(source) not in known:
                 raise FnnEkfError(f"-r {text}: expected one of {', '.join(known.values())}")
@@ -66,10 +62,15 @@ def inputs_in(bag: BagReader, parameters: LocalizerParameters, names: TopicNames
 
     Raises:
         BagError: a topic is missing or of another type.
+        FnnEkfError: remappings put one of the localizer's topics onto another.
     """
-    inputs = {}
+    inputs: dict[str, str] = {}
+    taken: dict[str, str] = {}
     for topic in messages.input_topics(parameters):
         name = names.of(topic)
+        if name in taken:
+            raise FnnEkfError(f"-r: {name} would be both {taken[name]} and {topic}")
+        taken[name] = topic
         found = bag.topics.get(name)
         expected = messages.INPUT_TYPES[topic]
         if found is not None:

@@ -49,6 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     with BagReader(arguments.bag) as bag:
         inputs = inputs_in(bag, parameters, names)
         replaced = names.outputs(set(inputs))
+        recorded = bag.topics.get(messages.DIAGNOSTICS)
+        if recorded is not None and recorded.type_name != messages.DIAGNOSTICS_TYPE:
+            replaced.add(messages.DIAGNOSTICS)
         if old := sorted(replaced & bag.topics.keys()):
             print(f"replay: {', '.join(old)} of {arguments.bag} left out: OUT has new ones there")
         notes = {
@@ -117,9 +120,9 @@ def _announce(out: BagWriter, topics: list[Topic]) -> set[str]:
 
 def _is_own_diagnostics(bag: BagReader, record: Record) -> bool:
     """Return whether a record is what a localizer said when the bag was recorded."""
-    if record.topic != messages.DIAGNOSTICS or record.type_name != messages.DIAGNOSTICS_TYPE:
-        return False
-    return any(status.hardware_id == NODE_NAME for status in bag.message(record).status)
+    return record.topic == messages.DIAGNOSTICS and any(
+        status.hardware_id == NODE_NAME for status in bag.message(record).status
+    )
 
 
 def _feed(

@@ -54,6 +54,8 @@ SET_BY_STUDY = {
 }  # fmt: skip
 """What the recordings, the starts and the filters' names decide."""
 MOST = {"runs": 10_000, "steps": 100_000, "seed": 2**63 - 1}
+MOST_PERIODS = 2_000_000
+"""Periods of all runs of a trial together: more would not fit into the memory of a computer."""
 FEWEST = {"runs": 2, "steps": 10, "seed": 0}
 """One run has no confidence interval."""
 
@@ -195,6 +197,11 @@ def _size(arguments: argparse.Namespace) -> Size:
         value = getattr(arguments, name)
         if not fewest <= value <= MOST[name]:
             raise FnnEkfError(f"--{name} {value}: expected {fewest} to {MOST[name]}")
+    if arguments.runs * arguments.steps > MOST_PERIODS:
+        raise FnnEkfError(
+            f"--runs {arguments.runs} --steps {arguments.steps}: expected {MOST_PERIODS} periods "
+            "of all runs together at most, which are kept in memory"
+        )
     return Size(arguments.steps, arguments.runs, arguments.seed)
 
 

@@ -99,7 +99,7 @@ class Recordings:
         """
         place = self.place(row)
         new, old = (place.with_name(f".{place.name}{end}") for end in (NEW, f".old{NEW}"))
-        (new / NOTE).write_text(made_by)
+        (new / NOTE).write_text(made_by, encoding="utf-8")
         shutil.rmtree(old, ignore_errors=True)
         if place.exists():
             place.replace(old)
@@ -112,9 +112,12 @@ class Recordings:
             shutil.rmtree(new, ignore_errors=True)
 
     def made_by(self, row: Row) -> str:
-        """Return which code has made a row's recording; empty if there is none."""
+        """Return which code has made a row's recording; empty if there is none or a damaged one."""
         note = self.place(row) / NOTE
-        return note.read_text() if note.is_file() else ""
+        try:
+            return note.read_text(encoding="utf-8") if note.is_file() else ""
+        except UnicodeDecodeError:
+            return ""
 
     def missing(self, made_by: str, but: Collection[str] = ()) -> list[Row]:
         """Return the rows that a code has not recorded, but for those with some names."""

@@ -1,5 +1,6 @@
 """Playing that keeps pace with a node that is as slow as the test wants it to be."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -157,4 +158,35 @@ def test_play_says_at_the_end_that_nothing_ever_came(
     player = start_playing(processes, drive)
     patiently(lambda: node.spin() or player.poll() is not None, "the player's end")
     assert player.returncode == 1
-    assert processes.output(player) == "play: nothing came on /odom to keep pace with\n"
+    assert processes.output(player) == (
+        "play: nothing came on /odom to keep pace with: does its node have use_sim_time:=true, and "
+        "play --clock?\n"
+    )
+
+
+@pytest.mark.parametrize("patience_s", [1, 60])
+def test_play_says_that_the_node_is_ahead_of_the_recording(
+    processes: Any,
+    slow_node: Callable[..., SlowNode],
+    patiently: Callable[..., None],
+    drive: Path,
+    patience_s: int,
+) -> None:
+    node = slow_node()
+    player = start_playing(processes, drive, "--patience", patience_s)
+    patiently(lambda: node.spin() or node.compass_ns, "the first compass reading")
+    patiently(
+        lambda: node.publish(1000 * S) or node.spin() or player.poll() is not None,
+        "the player's end",
+    )
+    assert player.returncode == 1
+    found = re.fullmatch(
+        r"play: /odom is stamped 1000\.000 s while (\d+\.\d{3}) s is played: does its node have "
+        r"use_sim_time:=true, and play --clock\?\n",
+        processes.output(player),
+    )
+    assert found
+    with BagReader(drive) as reader:
+        last_s = reader.start_ns * 1e-9 + reader.duration_s
+    if patience_s == 1:
+        assert float(found.group(1)) < last_s - 1.0, "it is said before the end"

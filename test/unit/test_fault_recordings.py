@@ -332,6 +332,17 @@ def test_a_recording_that_cannot_be_kept_is_one_line(
     assert matrix.untouched()
 
 
+def test_a_recording_whose_note_is_damaged_counts_as_missing(
+    matrix: Matrix, capsys: pytest.CaptureFixture[str]
+) -> None:
+    matrix.record(*ALL)
+    (matrix.recordings.place(SLIP) / NOTE).write_bytes(b"1.0, \xff")
+    assert main(["--recorded"]) == 1
+    assert capsys.readouterr().err == "fault_matrix: 1 of 4 rows have no recording\n"
+    assert matrix.untouched()
+    assert [row.name for row in matrix.recordings.missing(CODE)] == [SLIP.name]
+
+
 def test_what_a_killed_run_has_left_is_removed(matrix: Matrix) -> None:
     matrix.record(*ALL)
     (matrix.out / ".slip.new" / "run").mkdir(parents=True)

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
 
@@ -46,3 +48,27 @@ def test_replay_remaps_each_of_its_topics(
     for pair in ("~/nis/compass:=odom", "~/noise/lrf_x_std:=/compass", "~/noise:=/diagnostics"):
         line = refuse("replay", recorded, tmp_path / "o", *words, "-r", pair)
         assert f"-r: {messages.absolute_name(pair.partition(':=')[2])} would share a name" in line
+
+
+@pytest.mark.parametrize(
+    ("pairs", "line"),
+    [
+        (["initialpose:=/lrf_pose"], "/lrf_pose would be both lrf_pose and initialpose"),
+        (["right_ticks:=left_ticks"], "/left_ticks would be both left_ticks and right_ticks"),
+        (["compass:=no", "lrf_pose:=/no"], "/no would be both compass and lrf_pose"),
+    ],
+)
+def test_replay_refuses_two_inputs_of_one_topic(
+    tmp_path: Path, recorded: Path, refuse: Refuse, pairs: list[str], line: str
+) -> None:
+    words = [word for pair in pairs for word in ("-r", pair)]
+    parameters = ["--params", parameters_of(recorded)]
+    assert (
+        refuse("replay", recorded, tmp_path / "out", *parameters, *words) == f"replay: -r: {line}"
+    )
+
+
+def test_replay_lets_inputs_change_places(tmp_path: Path, recorded: Path, succeed: Succeed) -> None:
+    words = ["--params", parameters_of(recorded)]
+    swapped = ["-r", "left_ticks:=right_ticks", "-r", "right_ticks:=left_ticks"]
+    succeed("replay", recorded, tmp_path / "out", *words, *swapped)

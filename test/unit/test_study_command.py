@@ -161,6 +161,7 @@ def test_parameters_reach_the_filters(
         (["--steps", "9"], "--steps 9: expected 10 to"),
         (["--steps", "1000000"], "--steps 1000000: expected 10 to"),
         (["--seed", "-1"], "--seed -1: expected 0 to"),
+        (["--runs", "10000", "--steps", "201"], "--runs 10000 --steps 201: expected 2000000 p"),
         (["--filters", "ekf,ukf"], "--filters ukf: expected some of dead_reckoning, ekf, "),
         (["--filters", ""], "--filters : expected some of "),
         (["--filters", "oracle"], "--filters oracle: expected some of "),

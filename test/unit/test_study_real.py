@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import Row
+from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -31,6 +32,7 @@ from fnn_ekf_ros.study.real import (
     with_noise_of,
 )
 from fnn_ekf_ros.study.starts import ALL_CELLS, Cell
+from fnn_ekf_ros.tools import study_real
 
 BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
 DATA = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", BESIDE))
@@ -332,6 +334,27 @@ def test_bags_that_are_refused(tmp_path: Path, refuse: Refuse, recorded: Path) -
     geometry = ("--params", recorded.with_name("recorded.yaml"))
     said = refuse("study", "real", tmp_path / "missing", *out, *geometry)
     assert f"bag '{tmp_path / 'missing'}' does not exist" in said
+    assert "'/' has no name: expected the folder" in refuse("study", "real", "/", *out)
+    topic = ("-r", "right_ticks:=left_ticks")
+    said = refuse("study", "real", recorded, *out, *topic)
+    assert "-r: /left_ticks would be both left_ticks and right_ticks" in said
+
+
+def test_the_folder_of_a_bag_from_inside(
+    tmp_path: Path, refuse: Refuse, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(recorded)
+    found = []
+    monkeypatch.setattr(study_real, "_read", lambda *given: found.append(given) or fail())
+
+    def fail() -> None:
+        raise FnnEkfError("as far as this")
+
+    for name in (".", "../recorded/../recorded"):
+        assert "as far as this" in refuse("study", "real", name, "--out", tmp_path / "out")
+    for _, label, parameters, files, _ in found:
+        assert (label, files) == ("recorded", ["recorded.yaml"])
+        assert parameters.wheel_radius > 0.0
 
 
 @needs_data

@@ -299,9 +299,7 @@ def test_replay_of_wheels_only_starts_and_then_drifts(
         (["-p", "encoder_source:=joint_states", "-r", "joint_states:=nothing"],
          "has no topic /nothing (sensor_msgs/msg/JointState)"),
         (["-r", "lrf_pose"], "-r lrf_pose: expected FROM:=TO"),
-        (["-r", "lrf_pose:=compass"],
-         "topic /compass is sensor_msgs/msg/Imu, expected "
-         "geometry_msgs/msg/PoseWithCovarianceStamped"),
+        (["-r", "lrf_pose:=compass"], "-r: /compass would be both compass and lrf_pose"),
         (["-r", "left_ticks:=ground_truth"],
          "topic /ground_truth is nav_msgs/msg/Odometry, expected std_msgs/msg/Int32"),
         (["-p", "frame_id:=elsewhere"], "gives no odom"),
@@ -359,6 +357,23 @@ def test_replay_overwrites_nothing(tmp_path: Path, recorded: Path, refuse: Refus
     words = ["--params", parameters_of(recorded)]
     assert "exists already" in refuse("replay", recorded, tmp_path / "there", *words)
     assert "does not exist" in refuse("replay", recorded, tmp_path / "no" / "out", *words)
+
+
+def test_replay_leaves_out_diagnostics_of_another_type(
+    tmp_path: Path, recorded: Path, succeed: Succeed
+) -> None:
+    with BagReader(recorded) as source, BagWriter(tmp_path / "bag") as out:
+        for record in source.records():
+            out.write_raw(record)
+            if record.topic == "/left_ticks":
+                out.write_raw(record._replace(topic="/diagnostics"))
+    words = ["--params", parameters_of(recorded)]
+    said = succeed("replay", tmp_path / "bag", tmp_path / "out", *words).splitlines()
+    assert said[0] == (
+        f"replay: /diagnostics of {tmp_path / 'bag'} left out: OUT has new ones there"
+    )
+    succeed("replay", recorded, tmp_path / "plain", *words)
+    assert records(tmp_path / "out") == records(tmp_path / "plain")
 
 
 def test_replay_copies_topics_of_types_it_does_not_know(
