@@ -49,7 +49,7 @@ A fault begins 40 to 60 s after the start; runs take turns on the paths {", ".jo
 within {NAMED_WITHIN_S:g} s the sensor's own status was WARN or worse, as it is where `filter` names
 it. First: no other sensor's was before it. Alone: no other sensor's was at all in that time.
 Quiet runs have no fault: the share of reports, from when the filter runs, in which any status is
-WARN or worse; q, k as in the other studies.
+WARN or worse; starts as in the other studies.
 """
 
 
