@@ -229,7 +229,9 @@ def test_a_writer_that_is_killed_leaves_a_whole_state(parameters: LocalizerParam
             assert writer.stdout is not None
             for _ in range(2 + attempt):
                 told = int(writer.stdout.readline())
-            writer.kill()
+            while not list(path.parent.glob(f".{path.name}.*")):
+                assert writer.poll() is None
+            writer.kill()  # it has begun to write
             writer.stdout.read()
         found = StateFile(parameters).find()
         assert found.refused == ""
