@@ -43,6 +43,31 @@ class FakeRobotParameters(Parameters):
         at_most=1e9,
     )
 
+    # Rates
+    encoder_rate: float = parameter(
+        20.0,
+        "Rate of the encoders' readings; each is sent at the end of a step of 12.5 ms, so that "
+        "there are no more than 80 a second.",
+        "Hz",
+        at_least=0.1,
+        at_most=80.0,
+    )
+    compass_rate: float = parameter(
+        8.0,
+        "Rate of the compass, stamped at multiples of its interval.",
+        "Hz",
+        at_least=0.1,
+        at_most=100.0,
+    )
+    lrf_rate: float = parameter(
+        2.6667,
+        "Rate of the laser fixes, stamped at multiples of their interval; 2.6667 means every "
+        "375 ms exactly.",
+        "Hz",
+        at_least=0.1,
+        at_most=100.0,
+    )
+
     # Encoders
     encoder_bits: int = parameter(
         32, "Width of the counters; they wrap at 2^bits, signed.", "bits", at_least=8, at_most=32

@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -13,6 +15,7 @@ from fnn_ekf_ros.parameters.faults import WHEELS, Fault
 from fnn_ekf_ros.simulation.delivery import STEP_NS, Delivery, Sent
 from fnn_ekf_ros.simulation.faults import Encoder, Schedule
 from fnn_ekf_ros.simulation.paths import scripted_path
+from fnn_ekf_ros.simulation.reading_times import ReadingTimes
 from fnn_ekf_ros.simulation.robot import (
     advance,
     at_rest,
@@ -21,11 +24,12 @@ from fnn_ekf_ros.simulation.robot import (
 )
 from fnn_ekf_ros.simulation.spoiling import LATEST_STAMP_NS
 
-# Each sensor's interval and phase in steps. Fixes and compass are due at the filter's period
-# boundaries; the encoders, which close a period, a step later, as from a robot that samples its
-# slow sensors first.
-_EVERY_LRF, _EVERY_COMPASS, _EVERY_TRUTH = 30, 10, 10
-_EVERY_ENCODERS, _ENCODERS_PHASE = 4, 1
+_EVERY_TRUTH = 10
+"""Interval of `ground_truth` in steps."""
+_ENCODERS_PHASE_NS = STEP_NS
+"""Fixes and compass are due at multiples of their intervals, and so at the default rates at the
+filter's period boundaries; the encoders, which close a period, a step later, as from a robot that
+samples its slow sensors first [ns]."""
 
 OUTPUT_TYPES = {
     messages.LEFT_TICKS: messages.TICKS_TYPE,
@@ -38,8 +42,42 @@ OUTPUT_TYPES = {
 """Topics of the fake robot."""
 
 
+class _Seen(NamedTuple):
+    """What a sensor sees of the robot when it is read.
+
+    Attributes:
+        pose: `(3,)` true pose (m, m, rad; map frame).
+        stamp_ns: time by the robot's own clock [ns].
+    """
+
+    pose: FloatArray
+    stamp_ns: int
+
+
+class _LastStep(NamedTuple):
+    """The robot's last step, for readings that are due before its end.
+
+    Attributes:
+        begin: `(3,)` true pose before the step (m, m, rad; map frame).
+        end: `(3,)` true pose after it, before anybody carries the robot away.
+        clock_error_ns: of the robot's own clock before the step [ns].
+    """
+
+    begin: FloatArray
+    end: FloatArray
+    clock_error_ns: int
+
+
 class FakeRobot:
     """A robot that moves a step at a time and says what it senses.
+
+    Compass and fixes are read, and stamped, at the multiples of their intervals in ROS time, also
+    between two ends of steps; they are sent at the end of the step. Encoders are read at the first
+    end of a step at or after their time, because ticks have no stamp.
+
+    Compass and fixes draw their noise from one stream, in the order of their readings: another
+    rate of one of them gives both other noise. Rates change neither the drive nor the faults'
+    own draws.
 
     Args:
         parameters: the robot; with its seed they determine all that is sent (but for `cmd_vel`).
@@ -62,6 +100,12 @@ class FakeRobot:
         self._robot = at_rest(np.zeros(3) if self._path is None else self._path.start())
         self._command = np.zeros(2)
         self._steps_driven, self._clock_error_ns = 0, 0
+        self._last_step = _LastStep(self._robot.pose, self._robot.pose, 0)
+        self._encoder_times = ReadingTimes(parameters.encoder_rate, _ENCODERS_PHASE_NS)
+        self._measuring_times = {
+            messages.COMPASS: ReadingTimes(parameters.compass_rate),
+            messages.LRF_POSE: ReadingTimes(parameters.lrf_rate),
+        }
         self._schedule = Schedule(faults)
         rngs = [np.random.default_rng(seed) for seed in fault_seed.spawn(len(faults))]
         self._delivery = Delivery(faults, rngs)
@@ -82,7 +126,7 @@ class FakeRobot:
 
         The same as `time_ns` but for a fault `clock_jump`.
         """
-        return max(self.time_ns + self._clock_error_ns, 0)
+        return _stamp_ns(self.time_ns, self._clock_error_ns)
 
     def jump_to(self, time_ns: int) -> None:
         """Set the time without moving the robot [ns]."""
@@ -103,6 +147,7 @@ class FakeRobot:
             self.parameters, self._robot, command, self._drive_rng,
             schedule.radius_factors(now), schedule.slip_std(now, self.parameters.slip()),
         )  # fmt: skip
+        self._last_step = _LastStep(self._robot.pose, driven.pose, self._clock_error_ns)
         self._robot = schedule.carried(now, driven)
         self._step += 1
         self._set_clock(schedule.clock_jump_ns(now))
@@ -116,12 +161,29 @@ class FakeRobot:
     def _measured(self, command: FloatArray) -> Iterator[Sent]:
         if self._step % _EVERY_TRUTH == 0:
             yield Sent(messages.GROUND_TRUTH, self._truth(command))
-        if self._step % _EVERY_COMPASS == 0:
-            yield Sent(messages.COMPASS, self._compass())
-        if self._step % _EVERY_LRF == 0:
-            yield Sent(messages.LRF_POSE, self._lrf_pose())
-        if self._step % _EVERY_ENCODERS == _ENCODERS_PHASE:
+        began_ns = self.time_ns - STEP_NS
+        due = [
+            (time_ns, topic)
+            for topic, times in self._measuring_times.items()
+            for time_ns in times.within(began_ns, self.time_ns)
+        ]
+        for time_ns, topic in sorted(due, key=lambda reading: reading[0]):
+            seen = self._seen_at(time_ns)
+            measured = self._compass if topic == messages.COMPASS else self._lrf_pose
+            yield Sent(topic, measured(seen))
+        if self._encoder_times.within(began_ns, self.time_ns):
             yield from self._wheels()
+
+    def _seen_at(self, time_ns: int) -> _Seen:
+        """Return what is seen at a time in the last step; in between, the way is straight."""
+        before_end_ns = self.time_ns - time_ns
+        if before_end_ns == 0:
+            return _Seen(self._robot.pose, self.stamp_ns)
+        begin, end, clock_error_ns = self._last_step
+        moved = end - begin
+        moved[2] = wrap_angle(moved[2])
+        pose = begin + (1.0 - before_end_ns / STEP_NS) * moved
+        return _Seen(pose, _stamp_ns(time_ns, clock_error_ns))
 
     def _wheels(self) -> Iterator[Sent]:
         p = self.parameters
@@ -152,21 +214,21 @@ class FakeRobot:
             np.zeros((6, 6)), np.zeros((6, 6)),
         )  # fmt: skip
 
-    def _compass(self) -> Message:
+    def _compass(self, seen: _Seen) -> Message:
         std = self.parameters.compass_std
         noise = std * self._schedule.noise_factor(self._steps_driven, messages.COMPASS)
-        yaw = float(self._robot.pose[2]) + noise * self._sensor_rng.standard_normal()
-        return messages.compass_message(self.stamp_ns, self.parameters.base_frame, yaw, std)
+        yaw = float(seen.pose[2]) + noise * self._sensor_rng.standard_normal()
+        return messages.compass_message(seen.stamp_ns, self.parameters.base_frame, yaw, std)
 
-    def _lrf_pose(self) -> Message:
+    def _lrf_pose(self, seen: _Seen) -> Message:
         std = np.asarray(self.parameters.lrf_std)
         noise = std * self._schedule.noise_factor(self._steps_driven, messages.LRF_POSE)
-        pose = self._robot.pose + noise * self._sensor_rng.standard_normal(3)
+        pose = seen.pose + noise * self._sensor_rng.standard_normal(3)
         variances = np.maximum(std**2, messages.UNUSED_VARIANCE)
         return Message(
             messages.POSE_TYPE,
             {
-                "header": messages.header(self.stamp_ns, self.parameters.frame_id),
+                "header": messages.header(seen.stamp_ns, self.parameters.frame_id),
                 "pose": messages.pose_with_covariance(
                     pose, messages.planar_covariance(np.diag(variances))
                 ),
@@ -186,6 +248,10 @@ class FakeRobot:
                 "effort": np.zeros(0),
             },
         )
+
+
+def _stamp_ns(time_ns: int, clock_error_ns: int) -> int:
+    return max(time_ns + clock_error_ns, 0)
 
 
 def _wrapped(count: int, bits: int) -> int:
