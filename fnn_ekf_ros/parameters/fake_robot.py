@@ -46,23 +46,23 @@ class FakeRobotParameters(Parameters):
     # Rates
     encoder_rate: float = parameter(
         20.0,
-        "Rate of the encoders' readings; each is sent at the end of a step of 12.5 ms, so that "
-        "there are no more than 80 a second.",
+        "Rate of ticks and joint_states; the counters are read at the ends of steps of 12.5 ms, "
+        "so 80 is the most.",
         "Hz",
         at_least=0.1,
         at_most=80.0,
     )
     compass_rate: float = parameter(
         8.0,
-        "Rate of the compass, stamped at multiples of its interval.",
+        "Rate of the compass; its stamps are multiples of 1 / compass_rate.",
         "Hz",
         at_least=0.1,
         at_most=100.0,
     )
     lrf_rate: float = parameter(
         2.6667,
-        "Rate of the laser fixes, stamped at multiples of their interval; 2.6667 means every "
-        "375 ms exactly.",
+        "Rate of the laser fixes; their stamps are multiples of 1 / lrf_rate, with 2.6667 "
+        "exactly of 375 ms.",
         "Hz",
         at_least=0.1,
         at_most=100.0,
