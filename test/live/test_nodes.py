@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
@@ -246,6 +246,22 @@ def test_fake_robot_follows_cmd_vel_and_stops_without(
     )
     patiently(lambda: listener.spin() or truth[-1].twist.twist.linear.x == 0.0, "the robot to stop")
     assert truth[-1].pose.pose.position.y == pytest.approx(0.0, abs=0.05)
+
+
+def test_fake_robot_has_the_rates_it_is_given(
+    processes: Any, listener: Listener, patiently: Callable[..., None]
+) -> None:
+    compass = listener.collect(Imu, "compass")
+    joints = listener.collect(JointState, "joint_states")
+    rates = ["-p", "compass_rate:=50.0", "-p", "encoder_rate:=80.0", "-p", "lrf_rate:=0.1"]
+    processes.start("fake_robot", *ROBOT, *rates)
+    patiently(
+        lambda: listener.spin() or min(len(compass), len(joints)) >= 200, "200 of each sensor"
+    )
+    for received, interval_ns in ((compass, 20_000_000), (joints, 12_500_000)):
+        stamps = stamps_ns(received)
+        assert set(np.diff(stamps[-100:])) == {interval_ns}
+        assert {stamp % interval_ns for stamp in stamps} == {0}
 
 
 def test_hostile_messages_do_not_end_the_node(

@@ -251,6 +251,14 @@ def test_the_readme_has_the_defaults_of_the_code() -> None:
     assert "after eight fixes that agree with each other, over three seconds at least" in text
 
 
+def test_the_rates_of_the_simulated_robot_are_those_of_the_code() -> None:
+    text = (ROOT / "docs" / "operation.md").read_text(encoding="utf-8")
+    for name, spec, default in fields_of(FakeRobotParameters):
+        if name.endswith("_rate"):
+            limits = f"{spec.at_least:g} to {spec.at_most:g}"
+            assert f"| `{name}` | {default:.5g} | {limits} |" in text
+
+
 def test_the_lists_of_faults_are_as_long_as_the_documents_say() -> None:
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/results.md")
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/operation.md")

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -64,6 +65,18 @@ def test_simulate_writes_what_a_localizer_needs(tmp_path: Path, succeed: Succeed
         (["-p", "sede:=1"], "unknown parameter 'sede': did you mean 'seed'?"),
         (["-p", "seed:=one"], "parameter 'seed' is 'one': expected a whole number"),
         (["-p", "speed:=-1"], "parameter 'speed' is -1: expected a number from "),
+        (
+            ["-p", "lrf_rate:=0"],
+            "parameter 'lrf_rate' is 0: expected a number from 0.1 to 100 [Hz]",
+        ),
+        (
+            ["-p", "compass_rate:=101"],
+            "parameter 'compass_rate' is 101: expected a number from 0.1",
+        ),
+        (
+            ["-p", "encoder_rate:=100"],
+            "parameter 'encoder_rate' is 100: expected a number from 0.1 to 80 [Hz]",
+        ),
         (["-p", "path:=off"], "parameter 'path' is False: expected one of square, "),
         (["-p", "path:=cmd_vel"], "simulate has no cmd_vel"),
         (["-p", "slip_std:=[1]"], "parameter 'slip_std' is [1]: expected a list of 2 numbers"),
@@ -77,6 +90,19 @@ def test_simulate_writes_what_a_localizer_needs(tmp_path: Path, succeed: Succeed
 )
 def test_simulate_refuses(tmp_path: Path, refuse: Refuse, words: list[str], expected: str) -> None:
     assert expected in refuse("simulate", tmp_path / "bag", *words)
+
+
+def test_simulate_at_rates_of_its_own(tmp_path: Path, succeed: Succeed) -> None:
+    out = tmp_path / "bag"
+    rates = {"encoder_rate": 50, "compass_rate": 100, "lrf_rate": 0.5}
+    words = [word for name, rate in rates.items() for word in ("-p", f"{name}:={rate}")]
+    succeed("simulate", out, "--duration", 10, *words)
+    with BagReader(out) as bag:
+        counts = Counter(record.topic for record in bag.records())
+    assert counts == {
+        "/left_ticks": 500, "/right_ticks": 500, "/joint_states": 500, "/compass": 1000,
+        "/lrf_pose": 5, "/ground_truth": 80,
+    }  # fmt: skip
 
 
 def test_simulate_overwrites_nothing(tmp_path: Path, refuse: Refuse) -> None:
