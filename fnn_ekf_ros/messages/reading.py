@@ -30,10 +30,15 @@ from fnn_ekf_ros.pipeline.events import (
 )
 from fnn_ekf_ros.pipeline.frames import Transform
 
+_TICKED = {LEFT_TICKS: Wheel.LEFT, RIGHT_TICKS: Wheel.RIGHT}
 _A_COVARIANCE = (
     f"a symmetric, positive definite covariance with {SMALLEST_STD**2:g} to {LARGEST_STD**2:g} on "
     "its diagonal"
 )
+
+
+_PLANAR_NUMBERS = np.arange(36).reshape(6, 6)[PLANAR]
+"""Where the covariances of x, y and yaw stand among 36 numbers, `(3, 3)`."""
 
 
 def read_input(
@@ -47,8 +52,8 @@ def read_input(
         receive_ns: ROS time of arrival, the stamp of messages that carry none [ns].
         parameters: frames, joints and sensors of the localizer.
     """
-    if topic in (LEFT_TICKS, RIGHT_TICKS):
-        wheel = Wheel.LEFT if topic == LEFT_TICKS else Wheel.RIGHT
+    wheel = _TICKED.get(topic)
+    if wheel is not None:
         return [WheelCount(receive_ns, wheel, int(message.data))]
     if topic == JOINT_STATES:
         return _wheel_positions(message, parameters)
@@ -68,11 +73,13 @@ def yaw_of(orientation: Any) -> float | None:
 
     Quaternions that are off unit length by up to a tenth are taken for the rotation they mean.
     """
-    q = [float(getattr(orientation, axis)) for axis in "xyzw"]
-    norm = math.hypot(*q)
+    x, y, z, w = (
+        float(orientation.x), float(orientation.y), float(orientation.z), float(orientation.w),
+    )  # fmt: skip
+    norm = math.hypot(x, y, z, w)
     if not math.isfinite(norm) or abs(norm - 1.0) > 0.1:
         return None
-    x, y, z, w = (component / norm for component in q)
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
@@ -105,7 +112,7 @@ def planar_pose(message: Any) -> FloatArray:
 
 def planar_block(covariance: Any) -> FloatArray:
     """Return the `(3, 3)` block of x, y, yaw of a message's 36 covariance numbers."""
-    return np.array(covariance, dtype=np.float64).reshape(6, 6)[PLANAR]
+    return np.asarray(covariance, dtype=np.float64)[_PLANAR_NUMBERS]
 
 
 def _wheel_positions(message: Any, parameters: LocalizerParameters) -> list[Event] | Rejected:
@@ -149,13 +156,13 @@ def _pose(
             f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}'",
         )
     pose = planar_pose(message)
-    if not np.all(np.abs(pose[:2]) < LARGEST_POSITION):
+    x, y, yaw = pose.tolist()
+    if not (abs(x) < LARGEST_POSITION and abs(y) < LARGEST_POSITION):
         return Rejected(
             Sensor.LRF_POSE,
-            f"{topic} at ({pose[0]:g}, {pose[1]:g}) m, expected less than "
-            f"{LARGEST_POSITION:g} m either way",
+            f"{topic} at ({x:g}, {y:g}) m, expected less than {LARGEST_POSITION:g} m either way",
         )
-    if math.isnan(pose[2]) and (topic == INITIAL_POSE or parameters.lrf_use_yaw):
+    if math.isnan(yaw) and (topic == INITIAL_POSE or parameters.lrf_use_yaw):
         return Rejected(
             Sensor.LRF_POSE, f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}"
         )
