@@ -106,7 +106,7 @@ class Pipeline:
         self._longest_silence_ns = LONGEST_SILENCE_PERIODS * self._period_ns + self._longest_wait_ns
         self._checkpoints: deque[_Checkpoint] = deque()
         self._changed_ns = _NEVER_NS
-        self._now_ns = -_NEVER_NS
+        self._now_ns = self._open_until_ns = -_NEVER_NS
         self.reset()
         self._warm_start = warm_start
         if warm_start is not None:
@@ -125,13 +125,21 @@ class Pipeline:
             event = event._replace(stamp_ns=max(event.stamp_ns, oldest_ns + 1))
         if self._accepts(event, now_ns):
             addition = self._inputs.add(event)
-            if addition.changed_ns is not None:
-                self._changed_ns = min(addition.changed_ns, self._changed_ns)
+            if addition.changed_ns is not None and addition.changed_ns < self._changed_ns:
+                self._changed_ns = addition.changed_ns
             self._health.took(event, addition)
-        return outputs + self._close()
+        if self._now_ns >= self._open_until_ns:
+            outputs += self._close_due()
+        return outputs
 
     def advance(self, now_ns: int) -> list[Output]:
         """Let ROS time pass; return the periods that have waited for the wheels too long."""
+        if (
+            self._now_ns <= now_ns < self._open_until_ns
+            and now_ns <= self._now_ns + LONGEST_PAUSE_NS
+        ):  # most messages: the open period goes on, and the clock did not jump
+            self._now_ns = now_ns
+            return []
         if now_ns > self._now_ns + LONGEST_PAUSE_NS and self._checkpoints:
             self._health.paused(now_ns - self._now_ns)
         if now_ns < self._now_ns - self._history_ns:
@@ -145,7 +153,7 @@ class Pipeline:
         self._now_ns = max(now_ns, self._now_ns)
         if not self._checkpoints:
             self._begin(now_ns)
-        return self._close()
+        return self._close_due()
 
     def reject(self, rejected: Rejected) -> None:
         """Count an input that was refused before it became an event."""
@@ -212,7 +220,7 @@ class Pipeline:
         self._checkpoints.clear()
         self._inputs = InputBuffer(self.parameters)
         self._changed_ns = _NEVER_NS
-        self._now_ns = -_NEVER_NS
+        self._now_ns = self._open_until_ns = -_NEVER_NS
 
     def _noise(self) -> tuple[FloatArray, FloatArray]:
         """Return Q and R as they were adapted last, without what an alarm adds for a moment."""
@@ -257,6 +265,12 @@ class Pipeline:
         if now_ns >= 0:  # nothing is stamped before 0, where simulated time begins
             begin_ns = max(begin_ns, -self._period_ns)
         self._checkpoints.append(_Checkpoint(begin_ns, waiting, Counts(), self._model))
+
+    def _close_due(self) -> list[Output]:
+        """Close the periods that can be closed now; note before when none can be again."""
+        outputs = self._close()
+        self._open_until_ns = self._checkpoints[-1].stamp_ns + self._period_ns + self._delay_ns
+        return outputs
 
     def _close(self) -> list[Output]:
         """Close the periods that can be closed now."""
