@@ -28,11 +28,15 @@ class EncoderHealth:
 
     def saw(self, event: WheelCount, addition: Addition) -> None:
         """Count a reading, and whether it jumped by a way that cannot have been motion."""
-        self._first_ns.setdefault(event.wheel, event.stamp_ns)
-        self._last_ns[event.wheel] = max(event.stamp_ns, self._last_ns.get(event.wheel, 0))
+        stamp_ns, wheel, _ = event
+        if wheel not in self._first_ns:
+            self._first_ns[wheel] = stamp_ns
+        last_ns = self._last_ns.get(wheel)
+        if last_ns is None or stamp_ns > last_ns:
+            self._last_ns[wheel] = max(stamp_ns, 0)
         if addition.jump_m:
             self._jumps += 1
-            jumped = f"{event.wheel.name.lower()} wheel jumped by {addition.jump_m:.3f} m"
+            jumped = f"{wheel.name.lower()} wheel jumped by {addition.jump_m:.3f} m"
             if addition.silent_ns:
                 self._new_jump = (
                     f"{jumped} after {addition.silent_ns * 1e-9:.1f} s of silence: taken for a "

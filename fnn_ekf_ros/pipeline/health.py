@@ -41,6 +41,21 @@ EXPLAINED_NS = 10 * 10**9
 """What a sensor did that was seen to fail explains what does not fit for so long [ns]."""
 
 
+class _Heard:
+    """How often a sensor was heard, and the newest stamp since the clock jumped last [ns]."""
+
+    __slots__ = ("count", "last_ns")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.last_ns: int | None = None
+
+    def at(self, stamp_ns: int) -> None:
+        self.count += 1
+        if self.last_ns is None or stamp_ns > self.last_ns:
+            self.last_ns = max(stamp_ns, 0)
+
+
 class Health:
     """Counts what happens and puts it into words once in a while.
 
@@ -50,9 +65,8 @@ class Health:
 
     def __init__(self, parameters: LocalizerParameters) -> None:
         self._parameters = parameters
-        self._last_ns: dict[Sensor, int] = {}
+        self._heard = {sensor: _Heard() for sensor in Sensor}
         self._stood_ns = 0
-        self._received: Counter[Sensor] = Counter()
         self._refused: Counter[Sensor] = Counter()
         self._new_refusal: dict[Sensor, str] = {}
         self._encoders = EncoderHealth(parameters)
@@ -79,18 +93,17 @@ class Health:
             return
         if addition.out_of_order:
             self._time.out_of_order()
-        sensor = _sensor_of(event)
-        if sensor is not None:
-            self._received[sensor] += 1
-            self._last_ns[sensor] = max(event.stamp_ns, self._last_ns.get(sensor, 0))
-            if sensor is Sensor.LRF_POSE:
-                self._stood_ns = 0
         if isinstance(event, WheelCount):
+            self._heard[Sensor.ENCODERS].at(event.stamp_ns)
             self._encoders.saw(event, addition)
         elif isinstance(event, PoseReset):
             self._encoders.pose_was_set(event.stamp_ns)
-        elif sensor is not None:
+        else:
+            sensor = Sensor.COMPASS if isinstance(event, CompassYaw) else Sensor.LRF_POSE
+            self._heard[sensor].at(event.stamp_ns)
             self._frozen[sensor].saw(event)
+            if sensor is Sensor.LRF_POSE:
+                self._stood_ns = 0
 
     def rejected(self, rejected: Rejected) -> None:
         """Count a message that was refused for what it says."""
@@ -115,7 +128,8 @@ class Health:
 
     def restarted(self, reason: str, from_ns: int, to_ns: int) -> None:
         """Count a restart by a jump of the clock, after which every stamp begins anew."""
-        self._last_ns.clear()
+        for heard in self._heard.values():
+            heard.last_ns = None
         self._stood_ns = 0
         self._last_failed_ns = None
         self._encoders.restarted()
@@ -236,9 +250,10 @@ class Health:
         return moved
 
     def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
-        last_ns = self._last_ns.get(sensor)
+        heard = self._heard[sensor]
+        last_ns = heard.last_ns
         values: Values = (
-            ("received", str(self._received[sensor])),
+            ("received", str(heard.count)),
             ("refused", str(self._refused[sensor])),
         )
         if sensor in self._new_refusal:
@@ -257,7 +272,7 @@ class Health:
         return Status(sensor, Level.OK, "received", values)
 
     def _missing(self, waiting: Waiting) -> str:
-        missing = [] if Sensor.ENCODERS in self._last_ns else ["wheel counts"]
+        missing = ["wheel counts"] if self._heard[Sensor.ENCODERS].last_ns is None else []
         if waiting.given_pose is None:
             missing += [
                 name

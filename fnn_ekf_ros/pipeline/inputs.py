@@ -82,6 +82,10 @@ class _Queue(Generic[EventT]):
         self._events: list[EventT] = []
 
     def add(self, event: EventT) -> Addition:
+        if not self._stamps or event.stamp_ns > self._stamps[-1]:  # as nearly always
+            self._stamps.append(event.stamp_ns)
+            self._events.append(event)
+            return Addition(event.stamp_ns)
         last = place = bisect_right(self._stamps, event.stamp_ns)
         if self._content is not None:
             first = bisect_left(self._stamps, event.stamp_ns)
@@ -136,9 +140,8 @@ class InputBuffer:
     def add(self, event: Event) -> Addition:
         """Take an event in."""
         if isinstance(event, WheelCount):
-            taken = self._wheels[event.wheel].add(
-                event.stamp_ns, self._sign[event.wheel] * event.reading
-            )
+            stamp_ns, wheel, reading = event
+            taken = self._wheels[wheel].add(stamp_ns, self._sign[wheel] * reading)
             jump_m = taken.jump * self._metres_per_count
             return Addition(taken.changed_ns, taken.out_of_order, jump_m, taken.silent_ns)
         if isinstance(event, CompassYaw):

@@ -101,36 +101,35 @@ class WheelTrack:
 
     def add(self, stamp_ns: int, raw: int | float) -> Taken:
         """Take a reading in."""
-        if not self._stamped and self._stamps:
-            stamp_ns = max(stamp_ns, self._stamps[-1])
-        place = bisect_right(self._stamps, stamp_ns)
-        if self._stamped and place and self._stamps[place - 1] == stamp_ns:
-            first = bisect_left(self._stamps, stamp_ns)
-            if raw in self._raw[first:place]:
-                return Taken(None)
-            place = bisect_left(self._raw, raw, first, place)
+        stamps = self._stamps
+        place = len(stamps)
+        if place and stamp_ns <= stamps[-1]:
+            if not self._stamped:
+                stamp_ns = stamps[-1]
+            else:
+                place = bisect_right(stamps, stamp_ns)
+                first = bisect_left(stamps, stamp_ns)
+                if raw in self._raw[first:place]:
+                    return Taken(None)
+                place = bisect_left(self._raw, raw, first, place)
         if self._anchor is None:
             # Counts are small integers where counting begins, wherever that is: exact, and the
             # same as of a counter that started at 0. Positions are taken as they are.
             self._anchor = 0.0 if self._modulus is None else raw
         before = self._beliefs[place - 1] if place else None
         belief = self._after(before, stamp_ns, raw)
-        self._stamps.insert(place, stamp_ns)
+        stamps.insert(place, stamp_ns)
         self._raw.insert(place, raw)
         self._beliefs.insert(place, belief)
-        if place < len(self._stamps) - 1:
+        out_of_order = place < len(stamps) - 1
+        if out_of_order:
             self._go_through_again_from(place + 1)
-        jump, silent_ns = 0.0, 0
-        if before is not None and belief.suspect is not None:
-            jump = float(belief.suspect[1] - before.value)
-            silent_ns = stamp_ns - self._stamps[place - 1]
-        changed_ns = self._stamps[place - 1] + 1 if place else stamp_ns
-        return Taken(
-            changed_ns,
-            place < len(self._stamps) - 1,
-            jump,
-            silent_ns if silent_ns > SILENCE_NS else 0,
-        )
+        changed_ns = stamps[place - 1] + 1 if place else stamp_ns
+        if before is None or belief.suspect is None:
+            return Taken(changed_ns, out_of_order)
+        jump = float(belief.suspect[1] - before.value)
+        silent_ns = stamp_ns - stamps[place - 1]
+        return Taken(changed_ns, out_of_order, jump, silent_ns if silent_ns > SILENCE_NS else 0)
 
     def at(self, stamp_ns: int) -> float:
         """Return the count at an instant, linear between readings, held beyond them."""
