@@ -1,8 +1,9 @@
-"""Which version of the package this is."""
+"""Which version of the package this is.
 
-import importlib.metadata
+What looks it up is imported there: it would take 2 MB of every node that is never asked.
+"""
+
 import re
-import subprocess
 from pathlib import Path
 
 PACKAGE = "fnn_ekf_ros"
@@ -11,6 +12,8 @@ _ROOT = Path(__file__).resolve().parents[1]
 
 def version() -> str:
     """Return the version of the code that runs; in a clone the commit too."""
+    import subprocess
+
     manifest = _ROOT / "package.xml"
     if not ((_ROOT / ".git").exists() and manifest.is_file()):
         return _installed()
@@ -25,6 +28,8 @@ def version() -> str:
 
 
 def _installed() -> str:
+    import importlib.metadata
+
     try:
         return importlib.metadata.version(PACKAGE)
     except importlib.metadata.PackageNotFoundError:
