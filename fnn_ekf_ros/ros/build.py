@@ -1,5 +1,6 @@
 """From message trees to the messages of rclpy."""
 
+import functools
 import importlib
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from fnn_ekf_ros.messages import Message
 
 
+@functools.cache
 def message_class(type_name: str) -> Any:
     """Return the class of a type such as `nav_msgs/msg/Odometry`.
 

@@ -18,6 +18,7 @@ from fnn_ekf_ros.pipeline.filter_health import move_in_words
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
+from fnn_ekf_ros.ros.event_group import EventGroup
 from fnn_ekf_ros.ros.level_changes import LevelChanges
 from fnn_ekf_ros.ros.memory import Memory
 from fnn_ekf_ros.ros.pace import LOOKS_PER_PERIOD, Pace
@@ -53,6 +54,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
     """
 
     def __init__(self, parameters: LocalizerParameters, networks: Networks) -> None:
+        self._group = EventGroup()
         super().__init__(NODE_NAME, parameter_overrides=as_overrides(parameters))
         declare(self, LocalizerParameters)
         self._settings = parameters
@@ -90,6 +92,11 @@ class LocalizerNode(Node):  # type: ignore[misc]
             f"adaptation {parameters.adaptation}, odom every {parameters.period:g} s in "
             f"{parameters.frame_id}"
         )
+
+    @property
+    def default_callback_group(self) -> EventGroup:
+        """The group of everything that is made without one."""
+        return self._group
 
     def destroy_node(self) -> None:
         """Keep the state and leave ROS."""

@@ -18,6 +18,7 @@ from fnn_ekf_ros.stopping import STOPPED
 try:
     import rclpy
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+    from rclpy.clock import Clock, ClockType
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.node import Node
     from rclpy.parameter import Parameter
@@ -30,7 +31,7 @@ except ImportError as error:
 
 LOG_INTERVAL_S = 10.0
 """A trouble that lasts is logged this often [s]."""
-SPIN_TIMEOUT_S = 0.2
+SIGNAL_INTERVAL_S = 0.2
 """A node sees a signal at the latest after this time [s]."""
 
 
@@ -134,12 +135,14 @@ def spin_until_stopped(make_node: Callable[[], Node]) -> int:
         raise
     except Exception as error:  # what rclpy makes of a wrong qos_overrides, for one
         raise FnnEkfError(f"the node cannot start: {_first_line(error)}") from None
+    # Python sees a signal when a wait ends; a time limit would cost a new timer at each message.
+    node.create_timer(SIGNAL_INTERVAL_S, _wake, clock=Clock(clock_type=ClockType.STEADY_TIME))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         while not STOPPED.is_set():
             try:
-                executor.spin_once(timeout_sec=SPIN_TIMEOUT_S)
+                executor.spin_once()
             except ExternalShutdownException:
                 break
             except Exception as error:  # a node must not die of a message, such as a wrong /clock
@@ -152,6 +155,10 @@ def spin_until_stopped(make_node: Callable[[], Node]) -> int:
         executor.shutdown()
         node.destroy_node()
     return 0
+
+
+def _wake() -> None:
+    """Do nothing: that the executor has woken up is enough."""
 
 
 def plain(value: Any) -> Any:
