@@ -40,6 +40,10 @@ _RELIABLE = Qos(
 )  # fmt: skip
 
 
+_NESTED = (Message, list)
+"""What of a tree's fields has to be built."""
+
+
 class BagError(FnnEkfError):
     """A recording that cannot be read or written."""
 
@@ -184,15 +188,11 @@ class BagReader:
         connections = [c for c in self._reader.connections if topics is None or c.topic in topics]
         if not connections:
             return
-        source = self._reader.messages(connections)
-        while True:
-            try:
-                connection, time_ns, data = next(source)
-            except StopIteration:
-                return
-            except Exception as error:  # see above
-                raise self._broken(error) from None
-            yield Record(connection.topic, connection.msgtype, time_ns, data)
+        try:  # what whoever takes the records raises does not come by here
+            for connection, time_ns, data in self._reader.messages(connections):
+                yield Record(connection.topic, connection.msgtype, time_ns, data)
+        except Exception as error:  # see above
+            raise self._broken(error) from None
 
     def message(self, record: Record) -> Any:
         """Return a record's message, its fields as attributes.
@@ -289,16 +289,18 @@ class BagWriter:
         Raises:
             BagError: the disk is full, or the topic has another type.
         """
-        if record.topic not in self._connections:
-            self.add_topic(Topic(record.topic, record.type_name, 0))
-        connection = self._connections[record.topic]
-        if connection.msgtype != record.type_name:
+        topic, type_name, time_ns, data = record
+        connection = self._connections.get(topic)
+        if connection is None:
+            self.add_topic(Topic(topic, type_name, 0))
+            connection = self._connections[topic]
+        if connection.msgtype != type_name:
             raise BagError(
-                f"bag '{self.path}': topic {record.topic} is {connection.msgtype}, a "
-                f"{record.type_name} cannot be written to it"
+                f"bag '{self.path}': topic {topic} is {connection.msgtype}, a {type_name} cannot "
+                "be written to it"
             )
         try:
-            self._writer.write(connection, record.time_ns, record.data)
+            self._writer.write(connection, time_ns, data)
         except Exception as error:  # see above
             raise self._broken(error) from None
 
@@ -392,16 +394,15 @@ def refuse_existing(path: Path) -> None:
 
 def _built(message: Message) -> Any:
     """Return the rosbags message of a tree."""
+    fields = message.fields
+    built = {name: _value(field) for name, field in fields.items() if isinstance(field, _NESTED)}
+    return _TYPESTORE.types[message.type_name](**(fields | built if built else fields))
 
-    def value(field: Any) -> Any:
-        if isinstance(field, Message):
-            return _built(field)
-        if isinstance(field, list):
-            return [value(entry) for entry in field]
-        return field
 
-    kind = _TYPESTORE.types[message.type_name]
-    return kind(**{name: value(field) for name, field in message.fields.items()})
+def _value(field: Message | list[Any]) -> Any:
+    if isinstance(field, Message):
+        return _built(field)
+    return [_value(entry) if isinstance(entry, _NESTED) else entry for entry in field]
 
 
 def _reason(error: Exception) -> str:

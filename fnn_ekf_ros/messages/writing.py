@@ -31,6 +31,9 @@ PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 """Where x, y and yaw stand in a 6x6 covariance."""
 
 
+_UNUSED = np.diag(np.full(6, UNUSED_VARIANCE))
+
+
 class Message(NamedTuple):
     """A message to be built.
 
@@ -41,6 +44,24 @@ class Message(NamedTuple):
 
     type_name: str
     fields: dict[str, Any]
+
+
+_NOISE_LAYOUT = Message(
+    "std_msgs/msg/MultiArrayLayout",
+    {
+        "dim": [
+            Message(
+                "std_msgs/msg/MultiArrayDimension",
+                {
+                    "label": ",".join(NOISE_FIELDS),
+                    "size": len(NOISE_FIELDS),
+                    "stride": len(NOISE_FIELDS),
+                },
+            )
+        ],
+        "data_offset": 0,
+    },
+)
 
 
 def odometry(estimate: Estimate, frame_id: str, base_frame: str) -> Message:
@@ -164,14 +185,7 @@ def noise(estimate: Estimate) -> Message:
         data += [*result.sensor_nis, *result.rejected, result.relocated]
         data += [*np.ravel(result.process_firing_strength)]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
-    dimension = Message(
-        "std_msgs/msg/MultiArrayDimension",
-        {"label": ",".join(NOISE_FIELDS), "size": len(data), "stride": len(data)},
-    )
-    layout = Message("std_msgs/msg/MultiArrayLayout", {"dim": [dimension], "data_offset": 0})
-    return Message(
-        NOISE_TYPE, {"layout": layout, "data": np.array([float(value) for value in data])}
-    )
+    return Message(NOISE_TYPE, {"layout": _NOISE_LAYOUT, "data": np.array(list(map(float, data)))})
 
 
 def numbers(estimate: Estimate) -> dict[str, Message]:
@@ -272,7 +286,7 @@ def quaternion(yaw: float) -> Message:
 
 def planar_covariance(covariance: FloatArray) -> FloatArray:
     """Return the `(6, 6)` covariance of a planar pose from that of [x, y, yaw], `(3, 3)`."""
-    full = np.diag(np.full(6, UNUSED_VARIANCE))
+    full = _UNUSED.copy()
     full[PLANAR] = covariance
     return full
 

@@ -63,11 +63,14 @@ def run(arguments: argparse.Namespace) -> int:
             dead_reckoning = _DeadReckoning() if arguments.dead_reckoning else None
             estimates = 0
             for record in with_progress(bag.records(), bag.message_count, "replay"):
-                if record.topic in copied and not _is_own_diagnostics(bag, record):
+                if record.topic in copied and (
+                    record.topic != messages.DIAGNOSTICS or not _is_own_diagnostics(bag, record)
+                ):
                     out.write_raw(record)
                 closed = []
-                if record.topic in inputs:
-                    closed = _feed(pipeline, bag, record, inputs[record.topic], dead_reckoning)
+                topic = inputs.get(record.topic)
+                if topic is not None:
+                    closed = _feed(pipeline, bag, record, topic, dead_reckoning)
                 closed += pipeline.advance(record.time_ns)
                 for output in closed:
                     estimates += _write(out, names, output, record.time_ns, parameters)
@@ -119,10 +122,8 @@ def _announce(out: BagWriter, topics: list[Topic]) -> set[str]:
 
 
 def _is_own_diagnostics(bag: BagReader, record: Record) -> bool:
-    """Return whether a record is what a localizer said when the bag was recorded."""
-    return record.topic == messages.DIAGNOSTICS and any(
-        status.hardware_id == NODE_NAME for status in bag.message(record).status
-    )
+    """Return whether diagnostics are what a localizer said when the bag was recorded."""
+    return any(status.hardware_id == NODE_NAME for status in bag.message(record).status)
 
 
 def _feed(
