@@ -4,8 +4,9 @@ from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
 from fnn_ekf_ros.pipeline.events import STALE_NS, Estimate, Level, Status, Wheel, WheelCount
-from fnn_ekf_ros.pipeline.inputs import Addition, Counts
+from fnn_ekf_ros.pipeline.inputs import Counts
 from fnn_ekf_ros.pipeline.stuck_wheel import Look, StuckWheels
+from fnn_ekf_ros.pipeline.wheels import Addition
 
 
 class EncoderHealth:
@@ -34,9 +35,10 @@ class EncoderHealth:
         last_ns = self._last_ns.get(wheel)
         if last_ns is None or stamp_ns > last_ns:
             self._last_ns[wheel] = max(stamp_ns, 0)
-        if addition.jump_m:
+        if addition.jump:
             self._jumps += 1
-            jumped = f"{wheel.name.lower()} wheel jumped by {addition.jump_m:.3f} m"
+            jump_m = addition.jump * self._metres_per_count
+            jumped = f"{wheel.name.lower()} wheel jumped by {jump_m:.3f} m"
             if addition.silent_ns:
                 self._new_jump = (
                     f"{jumped} after {addition.silent_ns * 1e-9:.1f} s of silence: taken for a "

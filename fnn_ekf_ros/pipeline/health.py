@@ -30,12 +30,13 @@ from fnn_ekf_ros.pipeline.events import (
 )
 from fnn_ekf_ros.pipeline.filter_health import FilterLook, filter_status
 from fnn_ekf_ros.pipeline.frozen import FrozenSensor
-from fnn_ekf_ros.pipeline.inputs import Addition, Counts
+from fnn_ekf_ros.pipeline.inputs import Counts
 from fnn_ekf_ros.pipeline.measuring_health import OTHERS, measuring_status
 from fnn_ekf_ros.pipeline.start import Waiting
 from fnn_ekf_ros.pipeline.time_health import TimeHealth
 from fnn_ekf_ros.pipeline.watch import Readings, Watch, stands
 from fnn_ekf_ros.pipeline.wheel_sizes import in_words
+from fnn_ekf_ros.pipeline.wheels import Addition
 
 EXPLAINED_NS = 10 * 10**9
 """What a sensor did that was seen to fail explains what does not fit for so long [ns]."""

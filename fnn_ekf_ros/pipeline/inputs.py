@@ -19,7 +19,7 @@ from fnn_ekf_ros.pipeline.events import (
     Wheel,
     WheelCount,
 )
-from fnn_ekf_ros.pipeline.wheels import WheelTrack
+from fnn_ekf_ros.pipeline.wheels import Addition, WheelTrack
 
 EventT = TypeVar("EventT", CompassYaw, PoseFix, PoseReset)
 
@@ -29,22 +29,6 @@ class Counts(NamedTuple):
 
     left: float | None = None
     right: float | None = None
-
-
-class Addition(NamedTuple):
-    """What an event changed.
-
-    Attributes:
-        changed_ns: from when on the past looks different [ns]; None: the event was there already.
-        out_of_order: whether a later event of its kind was there already.
-        jump_m: way of the wheel that cannot have been motion, otherwise 0 [m].
-        silent_ns: how long the wheel had been silent before such a jump, if it had [ns].
-    """
-
-    changed_ns: int | None
-    out_of_order: bool = False
-    jump_m: float = 0.0
-    silent_ns: int = 0
 
 
 class PeriodInputs(NamedTuple):
@@ -119,12 +103,11 @@ class InputBuffer:
         self._geometry = wheel_geometry(parameters)
         self._measurement_noise = measurement_noise(parameters)
         ticks = parameters.encoder_source == "ticks"
-        self._metres_per_count = self._geometry.metres_per_count
         self._wheels = {
             wheel: WheelTrack(
                 2**parameters.encoder_bits if ticks else None,
                 stamped=not ticks,
-                fastest=parameters.max_wheel_speed / self._metres_per_count,
+                fastest=parameters.max_wheel_speed / self._geometry.metres_per_count,
                 resolution=1.0 if ticks else 0.0,
             )
             for wheel in Wheel
@@ -141,9 +124,7 @@ class InputBuffer:
         """Take an event in."""
         if isinstance(event, WheelCount):
             stamp_ns, wheel, reading = event
-            taken = self._wheels[wheel].add(stamp_ns, self._sign[wheel] * reading)
-            jump_m = taken.jump * self._metres_per_count
-            return Addition(taken.changed_ns, taken.out_of_order, jump_m, taken.silent_ns)
+            return self._wheels[wheel].add(stamp_ns, self._sign[wheel] * reading)
         if isinstance(event, CompassYaw):
             return self._compass.add(event)
         if isinstance(event, PoseFix):

@@ -71,7 +71,6 @@ class StuckWheels:
         last, self._last = self._last, now
         if last is None:
             return
-        turned = float(wrap_angle(now.yaw - last.yaw))
         for wheel in Wheel:
             other = Wheel(1 - wheel)
             if now.ways[wheel] != last.ways[wheel]:
@@ -79,6 +78,7 @@ class StuckWheels:
                 continue
             stand = self._stands.get(wheel)
             moved = now.ways[other] != last.ways[other]
+            turned = float(wrap_angle(now.yaw - last.yaw))
             if stand is not None:
                 self._stands[wheel] = stand._replace(
                     turn=stand.turn + turned, periods=stand.periods + moved

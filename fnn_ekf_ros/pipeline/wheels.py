@@ -28,13 +28,13 @@ SILENCE_NS = 10**9
 """In less time hardly a controller restarts, and the slowest encoders speak more often [ns]."""
 
 
-class Taken(NamedTuple):
-    """What a reading did to a track.
+class Addition(NamedTuple):
+    """What a reading changed.
 
     Attributes:
-        changed_ns: from when on the track has changed [ns]; None: it was there already.
-        out_of_order: whether a later one was there already.
-        jump: by how much it differs from the reading believed before if that is too much to be
+        changed_ns: from when on the past looks different [ns]; None: it was there already.
+        out_of_order: whether a later one of its kind was there already.
+        jump: by how much a wheel's differs from the one believed before if that is too much to be
             motion; otherwise 0 [counts].
         silent_ns: how long before it nothing was heard if it jumped after a silence; otherwise 0
             [ns].
@@ -99,7 +99,7 @@ class WheelTrack:
         """Time of the newest reading [ns]; None without any."""
         return self._stamps[-1] if self._stamps else None
 
-    def add(self, stamp_ns: int, raw: int | float) -> Taken:
+    def add(self, stamp_ns: int, raw: int | float) -> Addition:
         """Take a reading in."""
         stamps = self._stamps
         place = len(stamps)
@@ -110,7 +110,7 @@ class WheelTrack:
                 place = bisect_right(stamps, stamp_ns)
                 first = bisect_left(stamps, stamp_ns)
                 if raw in self._raw[first:place]:
-                    return Taken(None)
+                    return Addition(None)
                 place = bisect_left(self._raw, raw, first, place)
         if self._anchor is None:
             # Counts are small integers where counting begins, wherever that is: exact, and the
@@ -126,10 +126,10 @@ class WheelTrack:
             self._go_through_again_from(place + 1)
         changed_ns = stamps[place - 1] + 1 if place else stamp_ns
         if before is None or belief.suspect is None:
-            return Taken(changed_ns, out_of_order)
+            return Addition(changed_ns, out_of_order)
         jump = float(belief.suspect[1] - before.value)
         silent_ns = stamp_ns - stamps[place - 1]
-        return Taken(changed_ns, out_of_order, jump, silent_ns if silent_ns > SILENCE_NS else 0)
+        return Addition(changed_ns, out_of_order, jump, silent_ns if silent_ns > SILENCE_NS else 0)
 
     def at(self, stamp_ns: int) -> float:
         """Return the count at an instant, linear between readings, held beyond them."""
