@@ -168,6 +168,8 @@ class WheelTrack:
             assert self._anchor is not None
             return _Belief(stamp_ns, self._near(self._anchor, raw), self._anchor, None)
         value = self._near(before.value, raw)
+        if before.suspect is None and abs(value - before.value) <= self._slack:  # most readings
+            return _Belief(stamp_ns, value, before.base, None)
         strange = self._strangeness(before.value, value, stamp_ns - before.stamp_ns)
         if before.suspect is not None:
             suspect_ns, suspected = before.suspect
