@@ -1,15 +1,13 @@
 """Noise that changes, and errors that are no white noise: one case each, in simulation 1."""
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.study.filters import StudyFilter
 from fnn_ekf_ros.study.scenarios import NOMINAL, Scenario
 from fnn_ekf_ros.study.starts import ALL_CELLS, CORNERS, RIGHT, Cell
-from fnn_ekf_ros.study.trials import Size, Trial, around_event, make_trial
+from fnn_ekf_ros.study.trials import Size, TrialPlan, around_event
 
 
 class Case(NamedTuple):
@@ -65,9 +63,10 @@ PATH = "sim1"
 STARTS = (RIGHT, *CORNERS)
 
 
-def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:
-    """Yield the cases, each from the starts that it asks for."""
-    robot = FakeRobotParameters(path=PATH)
-    for name, case in CASES.items():
-        ranges = around_event(size.steps)
-        yield make_trial(name, robot, case.scenario, case.cells, ranges, size, oracle)
+def plans(size: Size) -> list[TrialPlan]:
+    """Return the cases, each from the starts that it asks for."""
+    robot, ranges = FakeRobotParameters(path=PATH), around_event(size.steps)
+    return [
+        TrialPlan(name, robot, case.scenario, case.cells, ranges, size)
+        for name, case in CASES.items()
+    ]

@@ -31,6 +31,8 @@ EKF = "ekf"
 JOINT = "joint"
 DEAD_RECKONING = "dead_reckoning"
 BANK = "multiple_model"
+SLOWEST = (BANK, JOINT, "rq_centroid")
+"""Filters that take several times as long as the others, the slowest first."""
 SMALLEST_WINDOW = 2
 """A filter that adapts nothing need not carry more innovations along."""
 PLAIN: dict[str, Any] = {"adaptation": "none", "innovation_window": SMALLEST_WINDOW}
@@ -78,7 +80,7 @@ LOCALIZER_FILTERS = (
 
 @dataclass(frozen=True, slots=True)
 class StudyFilter:
-    """A filter of the studies.
+    """A filter of the studies; it can be pickled.
 
     Attributes:
         name: what `--filters` calls it.
@@ -127,7 +129,7 @@ def study_filters(parameters: LocalizerParameters) -> dict[str, StudyFilter]:
         StudyFilter(
             DEAD_RECKONING,
             "dead reckoning",
-            lambda recording, start: run(fixed, _blind(recording), start),
+            partial(_run_blind, fixed),
         ),
         StudyFilter(EKF, models[EKF].label, partial(run, fixed)),
         StudyFilter(ORACLE, "oracle EKF", partial(run, fixed, knows_noise=True)),
@@ -206,5 +208,6 @@ def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
     return filter_model(changed, networks_for(changed))
 
 
-def _blind(recording: Recording) -> Recording:
-    return recording._replace(available=np.zeros_like(recording.available))
+def _run_blind(model: FilterModel, recording: Recording, start: Start) -> Track:
+    blind = recording._replace(available=np.zeros_like(recording.available))
+    return run(model, blind, start)

@@ -4,20 +4,19 @@ The paper does not say what noise its simulated robot really had, and a user doe
 theirs has; so no single start is the one to look at.
 """
 
-from collections.abc import Iterator
-
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.study.filters import StudyFilter
 from fnn_ekf_ros.study.scenarios import NOMINAL
 from fnn_ekf_ros.study.starts import ALL_CELLS
-from fnn_ekf_ros.study.trials import Size, Trial, halves, make_trial
+from fnn_ekf_ros.study.trials import Size, TrialPlan, halves
 
 SIMULATIONS = {"sim1": "simulation 1", "sim2": "simulation 2"}
 """Paths of the fake robot, each with the slip of its simulation, and what they are called."""
 
 
-def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:
-    """Yield the two simulations with all 25 starts."""
-    for path in SIMULATIONS:
-        robot = FakeRobotParameters(path=path)
-        yield make_trial(path, robot, NOMINAL, ALL_CELLS, halves(size.steps), size, oracle)
+def plans(size: Size) -> list[TrialPlan]:
+    """Return the two simulations with all 25 starts."""
+    ranges = halves(size.steps)
+    return [
+        TrialPlan(path, FakeRobotParameters(path=path), NOMINAL, ALL_CELLS, ranges, size)
+        for path in SIMULATIONS
+    ]

@@ -6,13 +6,10 @@ adaptive filter can beat the EKF. The command runs the filters on the paper's mo
 the oracle too.
 """
 
-from collections.abc import Iterator
-
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.study.filters import StudyFilter
 from fnn_ekf_ros.study.scenarios import NOMINAL
 from fnn_ekf_ros.study.starts import RIGHT, Cell
-from fnn_ekf_ros.study.trials import Size, Trial, halves, make_trial
+from fnn_ekf_ros.study.trials import Size, TrialPlan, halves
 
 TRIALS = {
     "sim1": "simulation 1",
@@ -26,8 +23,10 @@ FIRST_CORNER, LINE, THIRD_CORNER = (5.7, 0.3), (3.0, 0.0), (4.5, 3.7)
 the start, (6, 0) and (4.5, 4) [m]."""
 
 
-def trials(size: Size, oracle: StudyFilter) -> Iterator[Trial]:
-    """Yield the two simulations and the experiment."""
-    for path in TRIALS:
-        robot = FakeRobotParameters(path=path)
-        yield make_trial(path, robot, NOMINAL, STARTS, halves(size.steps), size, oracle)
+def plans(size: Size) -> list[TrialPlan]:
+    """Return the two simulations and the experiment."""
+    ranges = halves(size.steps)
+    return [
+        TrialPlan(path, FakeRobotParameters(path=path), NOMINAL, STARTS, ranges, size)
+        for path in TRIALS
+    ]

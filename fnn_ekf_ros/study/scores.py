@@ -4,6 +4,7 @@ Errors of a run are correlated in time, runs are independent: every confidence i
 over the runs, never over the steps.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -123,3 +124,26 @@ def score(errors: Errors, oracle: Errors, steps: slice) -> Score:
         nis_band=nis_band,
         diverged=np.mean(~(furthest <= limit), axis=-1),
     )
+
+
+def join_scores(parts: Sequence[Score]) -> Score:
+    """Return the score of several batches of tracks as one, along the first of their dimensions.
+
+    Args:
+        parts: with the same runs and steps; at least one, each with a leading dimension.
+    """
+    rmse, ratio, nees, inside, _, nis, nis_band, diverged = zip(*parts, strict=True)
+    return Score(
+        rmse=_join_intervals(rmse),
+        ratio=_join_intervals(ratio),
+        nees=_join_intervals(nees),
+        nees_inside=np.concatenate(inside),
+        nees_band=parts[0].nees_band,
+        nis=np.concatenate(nis),
+        nis_band=np.concatenate(nis_band),
+        diverged=np.concatenate(diverged),
+    )
+
+
+def _join_intervals(parts: Sequence[Interval]) -> Interval:
+    return Interval(*(np.concatenate(ends) for ends in zip(*parts, strict=True)))

@@ -10,7 +10,7 @@ from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.study.filters import StudyFilter
 from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Scenario, event_steps, record
-from fnn_ekf_ros.study.scores import Errors, Score, compare, rms_over_runs, score
+from fnn_ekf_ros.study.scores import Errors, Score, compare, join_scores, rms_over_runs, score
 from fnn_ekf_ros.study.starts import RIGHT, Cell, starts
 
 CELLS_AT_ONCE = 5
@@ -50,6 +50,26 @@ class Trial(NamedTuple):
     start: Start
     ranges: Mapping[str, slice]
     oracle: Errors
+
+
+class TrialPlan(NamedTuple):
+    """What a trial is made of, see `make_trial`; small, and can be pickled.
+
+    Attributes:
+        name: of the trial.
+        robot: the robot.
+        scenario: what goes wrong.
+        cells: how wrong the starts are.
+        ranges: steps that are scored, by name.
+        size: of the trial.
+    """
+
+    name: str
+    robot: FakeRobotParameters
+    scenario: Scenario
+    cells: tuple[Cell, ...]
+    ranges: Mapping[str, slice]
+    size: Size
 
 
 class Outcome(NamedTuple):
@@ -112,24 +132,65 @@ def make_trial(
     start = starts(recording, Q, NOMINAL_MEASUREMENT_NOISE, cells, start_rng)
     known = Start(*(array[0] for array in start))
     errors = compare(oracle.run(recording, known), recording.truth)
-    return Trial(name, recording, tuple(cells), start, ranges, errors)
+    trial = Trial(name, recording, tuple(cells), start, ranges, errors)
+    return _as_another_process_gets_it(trial)
+
+
+def blocks(cells: Sequence[Cell]) -> list[slice]:
+    """Return which cells go through a filter as one batch: numpy may round others differently."""
+    return [slice(first, first + CELLS_AT_ONCE) for first in range(0, len(cells), CELLS_AT_ONCE)]
+
+
+def try_block(trial: Trial, study_filter: StudyFilter, block: slice) -> Outcome:
+    """Run a filter from some starts of a trial and score it.
+
+    Args:
+        trial: the trial.
+        study_filter: the filter.
+        block: the cells of these starts, one of `blocks`.
+    """
+    some = Start(*(array[block] for array in trial.start))
+    errors = compare(study_filter.run(trial.recording, some), trial.recording.truth)
+    return _outcome(trial, study_filter.name, trial.cells[block], errors)
+
+
+def join_outcomes(parts: Sequence[Outcome]) -> Outcome:
+    """Return the outcome of a filter in a trial, from those of its blocks in their order."""
+    first = parts[0]
+    return first._replace(
+        cells=tuple(cell for part in parts for cell in part.cells),
+        scores={
+            label: join_scores([part.scores[label] for part in parts]) for label in first.scores
+        },
+        rms=np.concatenate([part.rms for part in parts], axis=1),
+        first_run=np.concatenate([part.first_run for part in parts], axis=1),
+    )
 
 
 def try_filter(trial: Trial, study_filter: StudyFilter) -> Outcome:
     """Run a filter from every start of a trial and score it."""
-    truth = trial.recording.truth
-    parts = []
-    for first in range(0, len(trial.cells), CELLS_AT_ONCE):
-        some = Start(*(array[first : first + CELLS_AT_ONCE] for array in trial.start))
-        parts.append(compare(study_filter.run(trial.recording, some), truth))
-    errors = Errors(*(np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True)))
-    return _outcome(trial, study_filter.name, trial.cells, errors)
+    return join_outcomes([try_block(trial, study_filter, each) for each in blocks(trial.cells)])
 
 
 def oracle_outcome(trial: Trial, oracle: StudyFilter) -> Outcome:
     """Return what became of the oracle."""
     errors = Errors(*(array[:, None] for array in trial.oracle))
     return _outcome(trial, oracle.name, (RIGHT,), errors)
+
+
+def _as_another_process_gets_it(trial: Trial) -> Trial:
+    """Return the trial with arrays in C order: how numpy rounds depends on their layout."""
+    recording = trial.recording
+    return trial._replace(
+        recording=recording._replace(
+            truth=np.ascontiguousarray(recording.truth),
+            control=np.ascontiguousarray(recording.control),
+            measurement=np.ascontiguousarray(recording.measurement),
+            available=np.ascontiguousarray(recording.available),
+        ),
+        start=Start(*map(np.ascontiguousarray, trial.start)),
+        oracle=Errors(*map(np.ascontiguousarray, trial.oracle)),
+    )
 
 
 def _outcome(trial: Trial, name: str, cells: tuple[Cell, ...], errors: Errors) -> Outcome:

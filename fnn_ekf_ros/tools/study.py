@@ -5,7 +5,8 @@
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
@@ -30,7 +31,7 @@ from fnn_ekf_ros.study.filters import (
     StudyFilter,
     study_filters,
 )
-from fnn_ekf_ros.study.trials import Outcome, Size, Trial, oracle_outcome, try_filter
+from fnn_ekf_ros.study.trials import Outcome, Size, TrialPlan
 from fnn_ekf_ros.text_files import write_text
 from fnn_ekf_ros.tools import (
     study_faults,
@@ -45,6 +46,8 @@ from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.progress import with_progress
 from fnn_ekf_ros.tools.result_folder import prepare_study
 from fnn_ekf_ros.tools.simulate import matching_localizer
+from fnn_ekf_ros.tools.study_trials import joined, pieces, work_through
+from fnn_ekf_ros.tools.workers import add_jobs_argument, given_jobs
 from fnn_ekf_ros.version import version
 
 SET_BY_STUDY = {
@@ -66,8 +69,7 @@ class Study(NamedTuple):
     Attributes:
         summary: what it does.
         paths: of the fake robot, whose settings are written down.
-        trial_count: how many.
-        trials: yields them.
+        plans: of its trials.
         words: what the numbers show.
         tables: the results in Markdown.
         figures: draws them into a folder.
@@ -78,8 +80,7 @@ class Study(NamedTuple):
 
     summary: str
     paths: tuple[str, ...]
-    trial_count: int
-    trials: Callable[[Size, StudyFilter], Iterator[Trial]]
+    plans: Callable[[Size], Sequence[TrialPlan]]
     words: Callable[[Sequence[Outcome], study_tables.Labels], str]
     tables: Callable[[Sequence[Outcome], study_tables.Labels], str]
     figures: Callable[[Path, Sequence[Outcome], study_tables.Labels], None]
@@ -96,19 +97,19 @@ def _paper_tables(outcomes: Sequence[Outcome], labels: study_tables.Labels) -> s
 STUDIES = {
     "paper": Study(
         "the paper's simulations and experiment, with its figures",
-        tuple(paper.TRIALS), len(paper.TRIALS), paper.trials,
+        tuple(paper.TRIALS), paper.plans,
         study_words.paper_words, _paper_tables, study_paper_figures.draw_paper, left_out=(BANK,),
         always=(EKF, PAPER),
         defaults=MappingProxyType({"motion_model": "paper"}),
     ),
     "grid": Study(
         "both simulations from 25 starts with wrong noise",
-        tuple(grid.SIMULATIONS), len(grid.SIMULATIONS), grid.trials,
+        tuple(grid.SIMULATIONS), grid.plans,
         study_words.grid_words, study_tables.grid_tables, study_figures.draw_grid,
     ),
     "dynamic": Study(
         "noise that changes, and errors that are no white noise",
-        (dynamic.PATH,), len(dynamic.CASES), dynamic.trials,
+        (dynamic.PATH,), dynamic.plans,
         study_words.dynamic_words, study_tables.dynamic_tables, study_figures.draw_dynamic,
     ),
 }  # fmt: skip
@@ -138,6 +139,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         own.add_argument(
             "--json", metavar="FILE", type=Path, help="write the numbers here (DIR/results.json)"
         )
+        add_jobs_argument(own)
         add_parameter_arguments(own)
     real = names.add_parser(
         study_real.NAME, help=study_real.SUMMARY, description=study_real.SUMMARY
@@ -158,7 +160,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.study == study_faults.NAME:
         return study_faults.run(arguments)
     study = STUDIES[arguments.study]
-    size = _size(arguments)
+    size, jobs = _size(arguments), given_jobs(arguments)
     given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}
     filters = study_filters(_localizer(study.paths[0], given))
     names = _chosen(arguments.filters, filters, study)
@@ -172,10 +174,11 @@ def run(arguments: argparse.Namespace) -> int:
     for path in study.paths:
         _write_settings(out, path, given)
 
-    oracle = filters[ORACLE]
-    tried = _outcomes(study.trials(size, oracle), oracle, [filters[name] for name in names])
-    total = study.trial_count * (1 + len(names))
-    outcomes = list(with_progress(tried, total, f"study {arguments.study}"))
+    plans = study.plans(size)
+    total = len(pieces(plans, names))
+    with closing(work_through(plans, filters, names, jobs)) as work:
+        done = dict(with_progress(work, total, f"study {arguments.study}"))
+    outcomes = joined(done, plans, names)
 
     labels = {name: each.label for name, each in filters.items()}
     content = {**made_by, "results": study_tables.rows(outcomes)}
@@ -187,7 +190,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     write_text(out / "results.md", "\n".join(parts))
     study.figures(out, outcomes, labels)
-    print(f"{out}: {study.trial_count} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
+    print(f"{out}: {len(plans)} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
     print(f"{out / 'results.md'}: the tables")
     return 0
 
@@ -203,15 +206,6 @@ def _size(arguments: argparse.Namespace) -> Size:
             "of all runs together at most, which are kept in memory"
         )
     return Size(arguments.steps, arguments.runs, arguments.seed)
-
-
-def _outcomes(
-    trials: Iterator[Trial], oracle: StudyFilter, filters: Sequence[StudyFilter]
-) -> Iterator[Outcome]:
-    for trial in trials:
-        yield oracle_outcome(trial, oracle)
-        for each in filters:
-            yield try_filter(trial, each)
 
 
 def _chosen(words: str | None, known: dict[str, StudyFilter], study: Study) -> list[str]:

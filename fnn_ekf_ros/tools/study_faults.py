@@ -5,10 +5,11 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from fnn_ekf_ros.tools.progress import with_progress
 from fnn_ekf_ros.tools.result_folder import prepare_study
 from fnn_ekf_ros.tools.simulate import matching_localizer
 from fnn_ekf_ros.tools.study_tables import plain, start_words, table
+from fnn_ekf_ros.tools.workers import add_jobs_argument, given_jobs, in_any_order
 from fnn_ekf_ros.version import version
 
 NAME = "faults"
@@ -71,6 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--faults", metavar="A,B", help=f"some of {', '.join(case.name for case in FAULTS)} (all)"
     )
+    add_jobs_argument(parser)
     add_parameter_arguments(parser)
 
 
@@ -85,6 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise FnnEkfError(
             f"--quiet-seconds {arguments.quiet_seconds:g}: expected 1 to {LONGEST_S:g}"
         )
+    jobs = given_jobs(arguments)
     cases = _chosen(arguments.faults)
     given = given_parameters(arguments, LOCALIZER)
     _setting(PATHS[0], 0, RIGHT, given)  # wrong parameters are refused before anything is made
@@ -96,13 +100,29 @@ def run(arguments: argparse.Namespace) -> int:
         "seed": arguments.seed, "faults": [case.name for case in cases], "parameters": given,
     }  # fmt: skip
 
-    total = len(cases) * arguments.runs
-    named = list(
-        with_progress(_namings(cases, arguments.runs, arguments.seed, given), total, "study faults")
-    )
-    starts = (RIGHT, *CORNERS)
-    total = len(starts) * len(QUIET_PATHS) * arguments.quiet_runs
-    quiet = list(with_progress(_quiet(starts, arguments, given), total, "study faults, quiet"))
+    fault_runs = [
+        _FaultRun(case.name, number) for case in cases for number in range(arguments.runs)
+    ]
+    quiet_runs = [
+        _QuietRun(cell, path, number)
+        for cell in (RIGHT, *CORNERS)
+        for path in QUIET_PATHS
+        for number in range(arguments.quiet_runs)
+    ]
+    runs: list[_FaultRun | _QuietRun] = [*quiet_runs, *fault_runs]
+    requests = [(each.words(), each) for each in runs]
+    work = in_any_order(jobs, _Runner, requests, arguments.seed, arguments.quiet_seconds, given)
+    with closing(work):
+        done = dict(with_progress(work, len(requests), "study faults"))
+    answers = [done[number] for number in range(len(requests))]
+    quiet = [
+        (each.cell, said) for each, said in zip(quiet_runs, answers[: len(quiet_runs)], strict=True)
+    ]
+    by_name = {case.name: case for case in cases}
+    named = [
+        Naming(by_name[each.case], *said)
+        for each, said in zip(fault_runs, answers[len(quiet_runs) :], strict=True)
+    ]
 
     content = {
         **made_by,
@@ -184,28 +204,60 @@ def _quiet_table(quiet: Sequence[tuple[Cell, Quiet]]) -> str:
     return table(["start", "path", "reports", "WARN or worse", "said most often"], lines)
 
 
-def _namings(
-    cases: Sequence[FaultCase], runs: int, seed: int, given: dict[str, Any]
-) -> Iterator[Naming]:
-    for case in cases:
-        for index in range(runs):
-            # The same robots and onsets for every fault, whichever are chosen.
-            rng = np.random.default_rng([seed, index])
-            robot_seed = int(rng.integers(2**31))
-            yield name_fault(
-                case, _setting(PATHS[index % len(PATHS)], robot_seed, RIGHT, given), rng
-            )
+class _FaultRun(NamedTuple):
+    """A run with a fault.
+
+    Attributes:
+        case: name of the fault.
+        number: of the run, from 0.
+    """
+
+    case: str
+    number: int
+
+    def words(self) -> str:
+        """Return what it is."""
+        return f"fault {self.case}, run {self.number + 1}"
 
 
-def _quiet(
-    starts: Sequence[Cell], arguments: argparse.Namespace, given: dict[str, Any]
-) -> Iterator[tuple[Cell, Quiet]]:
-    for cell in starts:
-        for path in QUIET_PATHS:
-            for index in range(arguments.quiet_runs):
-                rng = np.random.default_rng([arguments.seed, index, 1])
-                setting = _setting(path, int(rng.integers(2**31)), cell, given)
-                yield cell, quiet_run(setting, arguments.quiet_seconds)
+class _QuietRun(NamedTuple):
+    """A run without a fault.
+
+    Attributes:
+        cell: how wrong the start is.
+        path: what is driven.
+        number: of the run, from 0.
+    """
+
+    cell: Cell
+    path: str
+    number: int
+
+    def words(self) -> str:
+        """Return what it is."""
+        return f"quiet run {self.number + 1} on {self.path}, {start_words(self.cell)}"
+
+
+class _Runner:
+    """Runs robots with and without faults, in any process."""
+
+    def __init__(self, seed: int, quiet_seconds: float, given: dict[str, Any]) -> None:
+        self._seed = seed
+        self._quiet_seconds = quiet_seconds
+        self._given = given
+
+    def __call__(self, run: _FaultRun | _QuietRun) -> Quiet | tuple[Any, ...]:
+        """Return a `Quiet`, or a `Naming` without its case, which cannot be pickled."""
+        if isinstance(run, _QuietRun):
+            rng = np.random.default_rng([self._seed, run.number, 1])
+            setting = _setting(run.path, int(rng.integers(2**31)), run.cell, self._given)
+            return quiet_run(setting, self._quiet_seconds)
+        (case,) = (case for case in FAULTS if case.name == run.case)
+        # The same robots and onsets for every fault, whichever are chosen.
+        rng = np.random.default_rng([self._seed, run.number])
+        path = PATHS[run.number % len(PATHS)]
+        setting = _setting(path, int(rng.integers(2**31)), RIGHT, self._given)
+        return name_fault(case, setting, rng)[1:]
 
 
 def _setting(path: str, seed: int, cell: Cell, given: dict[str, Any]) -> Setting:

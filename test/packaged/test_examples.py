@@ -32,11 +32,11 @@ from fnn_ekf_ros.ros.runtime import parameters_from_ros, ros_started
 
 NODES = {LOCALIZER: LocalizerParameters, FAKE_ROBOT: FakeRobotParameters}
 SHORTER = {
-    "study grid": "--runs 2 --steps 10",
-    "study paper": "--runs 2 --steps 10",
-    "study dynamic": "--runs 2 --steps 10",
+    "study grid": "--runs 2 --steps 10 --jobs 1",
+    "study paper": "--runs 2 --steps 10 --jobs 1",
+    "study dynamic": "--runs 2 --steps 10 --jobs 1",
     "simulate run -p faults_file:=config/": "--duration 60",
-    "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan",
+    "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan --jobs 1",
 }
 """Arguments put behind those of an example that would take minutes or hours: the last one wins."""
 PLAY = f"{COMMAND}play "

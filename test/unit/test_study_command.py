@@ -21,7 +21,7 @@ from fnn_ekf_ros.tools.study_paper_figures import paper_figures
 
 Refuse = Callable[..., str]
 Succeed = Callable[..., str]
-TINY = ("--runs", 3, "--steps", 20)
+TINY = ("--runs", 3, "--steps", 20, "--jobs", 1)
 # What the paper has a figure of; 1, 2, 15 and 16 are blocks and hardware.
 PAPER_FIGURES = [*range(3, 15), *range(17, 21)]
 
@@ -161,6 +161,9 @@ def test_parameters_reach_the_filters(
         (["--steps", "9"], "--steps 9: expected 10 to"),
         (["--steps", "1000000"], "--steps 1000000: expected 10 to"),
         (["--seed", "-1"], "--seed -1: expected 0 to"),
+        (["--jobs", "0"], "--jobs 0: expected 1 to"),
+        (["--jobs", "-2"], "--jobs -2: expected 1 to"),
+        (["--jobs", "100000"], "--jobs 100000: expected 1 to"),
         (["--runs", "10000", "--steps", "201"], "--runs 10000 --steps 201: expected 2000000 p"),
         (["--filters", "ekf,ukf"], "--filters ukf: expected some of dead_reckoning, ekf, "),
         (["--filters", ""], "--filters : expected some of "),

@@ -87,7 +87,7 @@ def test_the_command_writes_tables_and_numbers(tmp_path: Path, succeed: Callable
     out = tmp_path / "out"
     said = succeed(
         "study", "faults", "--out", out, "--runs", 1, "--faults", ",".join(SUBSET),
-        "--quiet-runs", 1, "--quiet-seconds", 10,
+        "--quiet-runs", 1, "--quiet-seconds", 10, "--jobs", 2,
     )  # fmt: skip
     shares = (
         "of 2 faults named in time 2 (100.0%), before any other sensor 2 (100.0%), "
@@ -116,6 +116,7 @@ def test_the_command_writes_tables_and_numbers(tmp_path: Path, succeed: Callable
     ("words", "expected"),
     [
         (("--runs", 0), "--runs 0: expected 1 to 1000"),
+        (("--jobs", 0), "--jobs 0: expected 1 to"),
         (("--quiet-seconds", 0), "--quiet-seconds 0: expected 1 to 3600"),
         (("--faults", "rust"), "--faults rust: expected some of stuck_wheel, "),
         (("-p", "period:=0"), "parameter 'period'"),

@@ -21,6 +21,7 @@ from fnn_ekf_ros.study.trials import (
     Outcome,
     Size,
     Trial,
+    TrialPlan,
     around_event,
     halves,
     make_trial,
@@ -295,13 +296,16 @@ def test_ranges() -> None:
 
 
 def test_what_the_studies_try(filters: dict[str, StudyFilter]) -> None:
-    simulations = list(grid.trials(TINY, filters["oracle"]))
+    def made(plans: list[TrialPlan]) -> list[Trial]:
+        return [make_trial(*plan, filters["oracle"]) for plan in plans]
+
+    simulations = made(grid.plans(TINY))
     assert [each.name for each in simulations] == list(grid.SIMULATIONS)
     assert all(each.cells == ALL_CELLS for each in simulations)
     true_std = [np.sqrt(each.recording.process_noise[0]) for each in simulations]
     np.testing.assert_allclose(true_std, [[0.02, np.radians(1.0)], [0.05, np.radians(3.0)]])
 
-    cases = list(dynamic.trials(TINY, filters["oracle"]))
+    cases = made(dynamic.plans(TINY))
     assert [each.name for each in cases] == list(dynamic.CASES)
     assert all(each.cells == dynamic.CASES[each.name].cells for each in cases)
     assert {each.cells for each in cases} == {(RIGHT, *CORNERS), ALL_CELLS}
@@ -310,6 +314,6 @@ def test_what_the_studies_try(filters: dict[str, StudyFilter]) -> None:
     assert lost["compass_lost"][:, Row.COMPASS_YAW].all()
     assert not lost["compass_lost"][:, Row.X].any()
 
-    drives = list(paper.trials(TINY, filters["oracle"]))
+    drives = made(paper.plans(TINY))
     assert [each.name for each in drives] == ["sim1", "sim2", "round"]
     assert all(each.cells == paper.STARTS for each in drives)
