@@ -3,7 +3,9 @@
 # make faults: docs/faults.md, each fault through live nodes, about 20 minutes; not in make test.
 # make hostile: a million hostile messages through the pipeline, 10^5 through a node, half an hour.
 # make soak: ten simulated days in one run, about an hour; not part of make test.
-# All set up .venv first, with pinned versions; nothing else is installed.
+# make bench: docs/benchmarks.md, what everything costs, 15 to 20 minutes; not part of make test.
+# All set up .venv first, with pinned versions; nothing else is installed, but for make bench,
+# which has filterpy and scipy in build/bench.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -15,7 +17,7 @@ COLCON_PATHS := --build-base build/colcon --install-base build/install
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 
-.PHONY: demo faults hostile test lint soak clean
+.PHONY: demo faults hostile test lint soak bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
@@ -38,6 +40,9 @@ hostile: $(VENV)/.installed
 
 soak: $(VENV)/.installed
 	$(BIN)/python scripts/soak.py
+
+bench: $(VENV)/.installed
+	$(BIN)/python scripts/benchmarks.py
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -1,0 +1,90 @@
+"""Rows `batch` and `batch_memory`: many robots at once, as the studies run them."""
+
+from typing import Any
+
+from bench.places import tree_of
+from bench.results import Bar, Context, Line, Result, Row, ratio
+from bench.workers import Worker
+
+FILTERS = {"joint": Bar(6.0, at_least=True), "ekf": Bar(4.0, at_least=True), "ekf_gated": None}
+"""What the speed over the other commit is held against."""
+SHOWN = {"joint": "`joint`", "ekf": "`none`", "ekf_gated": "`none` with gate"}
+SIZES = {100: 100, 1000: 20, 10_000: 4}
+"""Periods of a batch of so many robots."""
+REPEATS = {"joint": 1}
+"""How often a batch is run for one number; the others, which are quick, `MANY` times."""
+MANY = 5
+MEMORY_ROBOTS, MEMORY_STEPS = 10_000, 10
+
+HOW = """
+CPU per robot and step of batches of 100, 1000 and 10 000 robots (fixes and compass measured in
+every period), through `study_filters`, the interface that the studies use: `joint`, `none` (the
+filter `ekf` of the studies, without a gate) and `none` with the gate (`ekf_gated`). This commit
+and the one that it is compared with run in two processes, which take turns batch by batch on the
+same arrays. "Faster" is the other commit's time over this one's. The batches have 100, 20 and 4
+periods; making the arrays is not timed.
+
+The numbers say how long a study takes. They hold for batches in which nothing is rejected; a
+batch that has a rejected reading in it costs more.
+"""
+MEMORY_HOW = """
+Largest resident memory (VmHWM) of a process that makes a recording of 10 000 robots and 10
+periods and runs one filter over it, Python, numpy, recording and track included. Every number is
+that of a new process. The part of recording and track grows with the number of periods.
+"""
+
+
+def measure(context: Context) -> Result:
+    """Measure the row `batch`."""
+    lines = []
+    with (
+        tree_of(context, context.against) as tree,
+        Worker(context, "batch_worker", context.root) as ours,
+        Worker(context, "batch_worker", tree) as theirs,
+    ):
+        for robots, steps in SIZES.items():
+            for name, bar in FILTERS.items():
+                context.say(f"batch: {SHOWN[name]}, {robots} robots")
+                request = {
+                    "name": name, "robots": robots, "steps": steps,
+                    "repeats": REPEATS.get(name, MANY),
+                }  # fmt: skip
+                lines += _compared(context, ours, theirs, request, bar)
+    return Result(lines)
+
+
+def _compared(
+    context: Context, ours: Worker, theirs: Worker, request: dict[str, Any], bar: Bar | None
+) -> list[Line]:
+    rounds = 2 if context.quick else 5
+    times: dict[Worker, list[float]] = {ours: [], theirs: []}
+    for worker in times:
+        worker.ask(**request | {"steps": 2, "repeats": 1})
+    for number in range(rounds):
+        # Who begins changes from round to round.
+        for worker in (ours, theirs) if number % 2 == 0 else (theirs, ours):
+            times[worker].append(worker.ask(**request)["us"])
+    what = f"{SHOWN[request['name']]}, {request['robots']} robots"
+    now, before = Line(what, "us", times[ours]), Line(what, "us", times[theirs])
+    return [
+        now,
+        before._replace(what=f"{what}, {context.against}"),
+        ratio(f"{what}, faster", before, now, bar),
+    ]
+
+
+def measure_memory(context: Context) -> Result:
+    """Measure the row `batch_memory`."""
+    lines = []
+    with tree_of(context, context.against) as tree:
+        for name in FILTERS:
+            for suffix, where in {"": context.root, f", {context.against}": tree}.items():
+                context.say(f"batch_memory: {SHOWN[name]}{suffix}")
+                with Worker(context, "batch_worker", where) as worker:
+                    found = worker.ask(name=name, robots=MEMORY_ROBOTS, steps=MEMORY_STEPS)
+                lines.append(Line(f"{SHOWN[name]}{suffix}", "MiB", [found["peak_mib"]]))
+    return Result(lines)
+
+
+ROW = Row("batch", "Batches of robots", HOW, measure)
+MEMORY_ROW = Row("batch_memory", "Memory of a batch", MEMORY_HOW, measure_memory)
