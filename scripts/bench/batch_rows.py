@@ -1,7 +1,5 @@
 """Rows `batch` and `batch_memory`: many robots at once, as the studies run them."""
 
-from typing import Any
-
 from bench.places import tree_of
 from bench.results import Bar, Context, Line, Result, Row, ratio
 from bench.workers import Worker
@@ -21,8 +19,9 @@ CPU per robot and step of batches of 100, 1000 and 10 000 robots (fixes and comp
 every period), through `study_filters`, the interface that the studies use: `joint`, `none` (the
 filter `ekf` of the studies, without a gate) and `none` with the gate (`ekf_gated`). This commit
 and the one that it is compared with run in two processes, which take turns batch by batch on the
-same arrays. "Faster" is the other commit's time over this one's. The batches have 100, 20 and 4
-periods; making the arrays is not timed.
+same arrays; each round has new processes, as the memory that one happens to get makes a
+difference of some percent. "Faster" is the other commit's time over this one's. The batches have
+100, 20 and 4 periods; making the arrays is not timed.
 
 The numbers say how long a study takes. They hold for batches in which nothing is rejected; a
 batch that has a rejected reading in it costs more.
@@ -36,41 +35,35 @@ that of a new process. The part of recording and track grows with the number of 
 
 def measure(context: Context) -> Result:
     """Measure the row `batch`."""
+    rounds = 2 if context.quick else 5
+    batches = [(name, robots) for robots in SIZES for name in FILTERS]
+    times: dict[tuple[str, int], list[list[float]]] = {batch: [[], []] for batch in batches}
+    with tree_of(context, context.against) as tree:
+        for number in range(rounds):
+            context.say(f"batch: round {number + 1} of {rounds}")
+            with (
+                Worker(context, "batch_worker", context.root) as ours,
+                Worker(context, "batch_worker", tree) as theirs,
+            ):
+                for (name, robots), both in times.items():
+                    pairs = list(zip((ours, theirs), both, strict=True))
+                    # Who begins changes from round to round.
+                    for worker, values in pairs if number % 2 == 0 else reversed(pairs):
+                        values.append(_time(worker, name, robots))
     lines = []
-    with (
-        tree_of(context, context.against) as tree,
-        Worker(context, "batch_worker", context.root) as ours,
-        Worker(context, "batch_worker", tree) as theirs,
-    ):
-        for robots, steps in SIZES.items():
-            for name, bar in FILTERS.items():
-                context.say(f"batch: {SHOWN[name]}, {robots} robots")
-                request = {
-                    "name": name, "robots": robots, "steps": steps,
-                    "repeats": REPEATS.get(name, MANY),
-                }  # fmt: skip
-                lines += _compared(context, ours, theirs, request, bar)
+    for (name, robots), both in times.items():
+        what = f"{SHOWN[name]}, {robots} robots"
+        now, before = Line(what, "us", both[0]), Line(f"{what}, {context.against}", "us", both[1])
+        lines += [now, before, ratio(f"{what}, faster", before, now, FILTERS[name])]
     return Result(lines)
 
 
-def _compared(
-    context: Context, ours: Worker, theirs: Worker, request: dict[str, Any], bar: Bar | None
-) -> list[Line]:
-    rounds = 2 if context.quick else 5
-    times: dict[Worker, list[float]] = {ours: [], theirs: []}
-    for worker in times:
-        worker.ask(**request | {"steps": 2, "repeats": 1})
-    for number in range(rounds):
-        # Who begins changes from round to round.
-        for worker in (ours, theirs) if number % 2 == 0 else (theirs, ours):
-            times[worker].append(worker.ask(**request)["us"])
-    what = f"{SHOWN[request['name']]}, {request['robots']} robots"
-    now, before = Line(what, "us", times[ours]), Line(what, "us", times[theirs])
-    return [
-        now,
-        before._replace(what=f"{what}, {context.against}"),
-        ratio(f"{what}, faster", before, now, bar),
-    ]
+def _time(worker: Worker, name: str, robots: int) -> float:
+    """Return the time of a robot and step [us], after a step that is not counted."""
+    worker.ask(name=name, robots=robots, steps=1)
+    repeats = REPEATS.get(name, MANY)
+    found = worker.ask(name=name, robots=robots, steps=SIZES[robots], repeats=repeats)
+    return float(found["us"])
 
 
 def measure_memory(context: Context) -> Result:

@@ -25,7 +25,7 @@ the node and in `replay`. A step is due every 375 ms.
 
 def measure(context: Context) -> Result:
     """Measure the row."""
-    blocks, steps = (5, 100) if context.quick else (25, 200)
+    blocks, steps = (20, 25) if context.quick else (200, 25)
     with Worker(context, "step_worker", context.root, [packages(context)]) as worker:
         found = worker.ask(blocks=blocks, steps=steps)
     if not found["difference"] <= LARGEST_DIFFERENCE:
