@@ -17,7 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray, Row
+from fnn_ekf_ros.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Row,
+    against,
+)
 from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.fuzzy import FuzzySets, Inference, infer, infer_centroid
 from fnn_ekf_ros.core.window import InnovationWindow, mean_square
@@ -106,7 +111,7 @@ class Adaptation:
     """How the noise is adapted.
 
     Attributes:
-        mode: which covariances; `joint` is run by `joint.adapt_jointly`.
+        mode: which covariances; `joint` is run by `joint.learn`.
         kind: inference of the paper's networks.
         networks: membership functions.
         window_length: N of eq. 13; a row teaches once `SMALLEST_WINDOW_SHARE` of it is filled.
@@ -122,6 +127,11 @@ class Adaptation:
     learning: bool = True
 
     @property
+    def moves_by_mismatch(self) -> bool:
+        """Whether D moves Q or R: the paper's modes."""
+        return self.mode in (AdaptationMode.R, AdaptationMode.Q, AdaptationMode.RQ)
+
+    @property
     def learns_measurement_noise(self) -> bool:
         """Whether R moves now."""
         return self.learning and self.mode.adapts_measurement_noise
@@ -131,12 +141,12 @@ class Adapted(NamedTuple):
     """Noise after one step of adaptation, and why.
 
     Attributes:
-        process_noise: `(..., 2)` diagonal of Q for the nominal period (m^2, rad^2).
-        measurement_noise: `(..., 4)` diagonal of R, rows as in `Row`.
-        mismatch: `(..., 4)` D of the rows (m^2, m^2, rad^2, rad^2); 0 where there is none yet.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; mode `q`,
+        process_noise: `(2, *batch)` diagonal of Q for the nominal period (m^2, rad^2).
+        measurement_noise: `(4, *batch)` diagonal of R, rows as in `Row`.
+        mismatch: `(4, *batch)` D of the rows (m^2, m^2, rad^2, rad^2); 0 where there is none yet.
+        firing_strength: `(3, 4, *batch)` alpha of the rules I, M, D for the rows of R; mode `q`,
             which has none, has Q's in the rows of x and compass yaw. 0 where nothing was adapted.
-        process_firing_strength: `(..., 2, 3)` the same for Q's distance and rotation.
+        process_firing_strength: `(3, 2, *batch)` the same for Q's distance and rotation.
     """
 
     process_noise: FloatArray
@@ -151,14 +161,11 @@ class Scales(NamedTuple):
 
     Attributes:
         process: of Q, whose nominal period may not be the filter's.
-        measurement: `(..., 4)` of R, where sensors report covariances of their own.
+        measurement: `(4, *batch)` of R, where sensors report covariances of their own.
     """
 
     process: float
     measurement: FloatArray
-
-
-UNIT_SCALES = Scales(1.0, np.ones(MEASUREMENT_SIZE))
 
 
 def adapt(
@@ -169,37 +176,37 @@ def adapt(
     innovation_variance: FloatArray,
     available: BoolArray,
     heading: FloatArray,
-    scales: Scales = UNIT_SCALES,
+    scales: Scales,
 ) -> Adapted:
     """Move Q, R or both one step by what the window says about S.
 
     Args:
         adaptation: mode, network and limits.
-        process_noise: `(..., 2)` diagonal of Q for the nominal period (m^2, rad^2).
-        measurement_noise: `(..., 4)` diagonal of R.
+        process_noise: `(2, *batch)` diagonal of Q for the nominal period (m^2, rad^2).
+        measurement_noise: `(4, *batch)` diagonal of R.
         window: the last innovations, this step's included.
-        innovation_variance: `(..., 4)` diagonal of S.
-        available: `(..., 4)` rows measured in this step; only they teach anything.
-        heading: `(...)` heading the step's way is projected on [rad].
+        innovation_variance: `(4, *batch)` diagonal of S.
+        available: `(4, *batch)` rows measured in this step; only they teach anything.
+        heading: `(*batch)` heading the step's way is projected on [rad].
         scales: the network's output is a change of the noise in use; it is divided by these.
     """
-    ready = available & (window.counts >= SMALLEST_WINDOW_SHARE * adaptation.window_length)
     mismatch = np.where(window.counts > 0.0, innovation_variance - mean_square(window), 0.0)
     adapted = Adapted(
         process_noise,
         measurement_noise,
         mismatch,
-        firing_strength=np.zeros((*mismatch.shape, RULE_COUNT)),
-        process_firing_strength=np.zeros((*process_noise.shape, RULE_COUNT)),
+        firing_strength=np.zeros((RULE_COUNT, *mismatch.shape)),
+        process_firing_strength=np.zeros((RULE_COUNT, *process_noise.shape)),
     )
-    if not adaptation.learning:
+    if not (adaptation.learning and adaptation.moves_by_mismatch):
         return adapted
+    ready = available & (window.counts >= SMALLEST_WINDOW_SHARE * adaptation.window_length)
     if adaptation.mode in (AdaptationMode.R, AdaptationMode.RQ):
         adapted = _adapt_measurement_noise(adaptation, adapted, ready, scales.measurement)
     if adaptation.mode in (AdaptationMode.Q, AdaptationMode.RQ):
         adapted = _adapt_process_noise(adaptation, adapted, ready, heading, scales.process)
     if adaptation.mode is AdaptationMode.Q:
-        adapted.firing_strength[..., _ROWS_OF_PROCESS, :] = adapted.process_firing_strength
+        adapted.firing_strength[:, _ROWS_OF_PROCESS] = adapted.process_firing_strength
     return adapted
 
 
@@ -216,7 +223,7 @@ def _adapt_measurement_noise(
     )
     return before._replace(
         measurement_noise=np.where(ready, moved, before.measurement_noise),
-        firing_strength=np.where(ready[..., None], inference.firing_strength, 0.0),
+        firing_strength=np.where(ready, inference.firing_strength, 0.0),
     )
 
 
@@ -230,14 +237,14 @@ def _adapt_process_noise(
     network = adaptation.networks.process
     D = before.mismatch
     c2 = np.cos(heading) ** 2
-    forward = D[..., Row.X] * c2 + D[..., Row.Y] * (1.0 - c2)
-    compass_ready, lrf_ready = ready[..., Row.COMPASS_YAW], ready[..., Row.LRF_YAW]
-    yaw = np.where(compass_ready, D[..., Row.COMPASS_YAW], D[..., Row.LRF_YAW])
-    known = np.stack([ready[..., Row.X] & ready[..., Row.Y], compass_ready | lrf_ready], axis=-1)
+    forward = D[Row.X] * c2 + D[Row.Y] * (1.0 - c2)
+    compass_ready, lrf_ready = ready[Row.COMPASS_YAW], ready[Row.LRF_YAW]
+    yaw = np.where(compass_ready, D[Row.COMPASS_YAW], D[Row.LRF_YAW])
+    known = np.stack([ready[Row.X] & ready[Row.Y], compass_ready | lrf_ready])
     inference, dQ = _infer(
         adaptation.kind,
         network,
-        np.stack([forward, yaw], axis=-1),
+        np.stack([forward, yaw]),
         np.array([network.position_unit, network.yaw_unit]),
     )
     moved = _moved(
@@ -248,7 +255,7 @@ def _adapt_process_noise(
     )
     return before._replace(
         process_noise=np.where(known, moved, before.process_noise),
-        process_firing_strength=np.where(known[..., None], inference.firing_strength, 0.0),
+        process_firing_strength=np.where(known, inference.firing_strength, 0.0),
     )
 
 
@@ -256,13 +263,14 @@ def _moved(
     variance: FloatArray, change: FloatArray, smallest: Sequence[float], largest: Sequence[float]
 ) -> FloatArray:
     moved = np.maximum(variance + change, (1.0 - LARGEST_DECREASE) * variance)
-    return np.clip(moved, smallest, largest)
+    return np.clip(moved, against(smallest, moved), against(largest, moved))
 
 
 def _infer(
     kind: InferenceKind, network: FuzzyNetwork, mismatch: FloatArray, unit: FloatArray
 ) -> tuple[Inference, FloatArray]:
     """Run a network on mismatches in SI units; returns its output and the change in SI units."""
+    unit = against(unit, mismatch)
     if kind is InferenceKind.CENTROID:
         inference = infer_centroid(network.sets, mismatch / unit, network.change_limit)
     else:

@@ -1,5 +1,7 @@
 """The one place where angles are wrapped."""
 
+import math
+
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -16,6 +18,9 @@ def wrap_angle(angle: FloatArray | float) -> FloatArray:
     """
     a = np.asarray(angle, dtype=np.float64)
     # The remainder is only taken where it is needed, so that a small angle keeps all its bits.
+    inside = (a > -math.pi) & (a <= math.pi)
+    if inside.all():
+        return a
     wrapped = -(np.remainder(np.pi - a, 2.0 * np.pi) - np.pi)
     wrapped = np.where(wrapped <= -np.pi, np.pi, wrapped)  # rounding can reach the open end
-    return np.asarray(np.where((a > -np.pi) & (a <= np.pi), a, wrapped), dtype=np.float64)
+    return np.asarray(np.where(inside, a, wrapped), dtype=np.float64)

@@ -1,6 +1,11 @@
 """The limits of adapted noise."""
 
 from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import Constant, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,3 +23,34 @@ class NoiseBounds:
     process_max: tuple[float, float]
     measurement_min: tuple[float, float, float, float]
     measurement_max: tuple[float, float, float, float]
+
+    def within(self, Q: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return Q `(2, ...)` and R `(4, ...)` held to the limits."""
+        low_Q, high_Q, low_R, high_R = _limits(self)
+        n = Q.ndim - 1
+        return (
+            np.minimum(np.maximum(Q, low_Q.behind(n)), high_Q.behind(n)),
+            np.minimum(np.maximum(R, low_R.behind(n)), high_R.behind(n)),
+        )
+
+    def all_limits(self) -> tuple[Constant, Constant]:
+        """Return the smallest and the largest variances `(6,)`, of Q and then of R."""
+        return _all_limits(self)
+
+
+@lru_cache(maxsize=64)
+def _all_limits(bounds: NoiseBounds) -> tuple[Constant, Constant]:
+    return (
+        Constant((*bounds.process_min, *bounds.measurement_min)),
+        Constant((*bounds.process_max, *bounds.measurement_max)),
+    )
+
+
+@lru_cache(maxsize=64)
+def _limits(bounds: NoiseBounds) -> tuple[Constant, Constant, Constant, Constant]:
+    return (
+        Constant(bounds.process_min),
+        Constant(bounds.process_max),
+        Constant(bounds.measurement_min),
+        Constant(bounds.measurement_max),
+    )

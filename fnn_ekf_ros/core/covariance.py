@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray, symmetrize
+from fnn_ekf_ros.core.arrays import STATE_SIZE, Constant, FloatArray, diagonal_of, symmetrize
 from fnn_ekf_ros.core.limits import (
     CORRELATION_MARGIN,
     LARGEST_POSE_STD,
@@ -12,6 +12,8 @@ from fnn_ekf_ros.core.limits import (
 )
 
 _ASYMMETRY = 1e-6
+_LARGEST = Constant(LARGEST_POSE_STD)
+_VAGUE = Constant([(0.1 * std) ** 2 for std in LARGEST_POSE_STD])
 
 
 def usable_covariance(matrix: FloatArray) -> FloatArray | None:
@@ -34,18 +36,21 @@ def usable_covariance(matrix: FloatArray) -> FloatArray | None:
 
 
 def limit_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return covariances `(..., 3, 3)` scaled back where a pose is as good as lost.
+    """Return covariances `(3, 3, ...)` scaled back where a pose is as good as lost.
 
     Beyond `LARGEST_POSE_STD` a fix that is good to a tenth of a millimetre would no longer
     leave a positive definite covariance in double precision. Correlations are kept but for
     `CORRELATION_MARGIN`, and that from a tenth of it on only.
     """
-    std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    largest = np.asarray(LARGEST_POSE_STD)
-    vague = np.any(std > 0.1 * largest, axis=-1)
-    if not np.any(vague):
+    size = STATE_SIZE
+    variances = covariance.reshape(size * size, *covariance.shape[2:])[:: size + 1]
+    if not (variances > _VAGUE.behind(variances.ndim - 1)).any():
         return covariance
+    largest = _LARGEST.behind(variances.ndim - 1)
+    std = np.sqrt(variances)
+    vague = np.any(std > 0.1 * largest, axis=0)
     scale = np.minimum(1.0, largest / std)
-    limited = covariance * scale[..., :, None] * scale[..., None, :]
-    apart = (1.0 - CORRELATION_MARGIN) * limited + CORRELATION_MARGIN * limited * np.eye(STATE_SIZE)
-    return np.asarray(np.where(vague[..., None, None], apart, covariance), dtype=np.float64)
+    limited = covariance * (scale[:, None] * scale[None])  # in this order: exactly symmetric
+    apart = (1.0 - CORRELATION_MARGIN) * limited
+    diagonal_of(apart)[...] += CORRELATION_MARGIN * diagonal_of(limited)
+    return np.where(vague, apart, covariance)

@@ -20,13 +20,13 @@ which lets one wild fix say only so much. c makes the expected score of Gaussian
 (nu + n) E[e / (c + e)] = n for e ~ chi-square(n). Without it R would be learned too large.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.kalman import Innovation
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
 
 SCALES = ("forward", "heading", "position", "yaw")
 """The log scales: Q of way and turn, R of the fixes' position, R of compass and fixes' yaw."""
@@ -35,86 +35,70 @@ NEIGHBOUR_STEP = 0.25
 """h, in log variance: neighbours 25 % apart. With 1 the differences would be biased by sinh(1)."""
 TAIL_DEGREES_OF_FREEDOM = 8.0
 """nu."""
-CONSISTENT_SCALE = (1.0, 6.4929, 6.6099, 6.7111, 6.7994)
+CONSISTENT_SCALE: FloatArray = np.array([1.0, 6.4929, 6.6099, 6.7111, 6.7994])
 """c for n = 0 ... 4 rows."""
 STAR_SIZE = 1 + 2 * SCALE_COUNT
 STAR: FloatArray = NEIGHBOUR_STEP * np.concatenate(
-    [np.zeros((1, SCALE_COUNT)), np.kron(np.eye(SCALE_COUNT), [[1.0], [-1.0]])]
+    [np.zeros((SCALE_COUNT, 1)), np.kron(np.eye(SCALE_COUNT), [1.0, -1.0])], axis=1
 )
-"""`(9, 4)` offsets in theta: the centre, then + and - of each scale."""
+"""`(4, 9)` offsets in theta: the centre, then + and - of each scale."""
 
 
 class Evidence(NamedTuple):
     """What one measurement says about the log scales.
 
     Attributes:
-        log_likelihood: `(...)` of the star's centre.
-        score: `(..., 4)` derivative of the log likelihood by the log scales.
-        information: `(..., 4, 4)` its expected curvature, but for what the tails take from
+        score: `(4, ...)` derivative of the log likelihood by the log scales.
+        information: `(4, 4, ...)` its expected curvature, but for what the tails take from
             several rows together; positive semidefinite.
     """
 
-    log_likelihood: FloatArray
     score: FloatArray
     information: FloatArray
 
 
-def log_likelihood(seen: Innovation) -> FloatArray:
-    """Return the heavy-tailed log likelihood `(...)` of innovations; 0 where nothing was seen."""
-    n = seen.degrees_of_freedom
-    c = np.asarray(CONSISTENT_SCALE)[n.astype(np.int64)]
-    log_determinant = np.linalg.slogdet(seen.innovation_covariance)[1]
-    tail = (TAIL_DEGREES_OF_FREEDOM + n) * np.log1p(seen.nis / c)
-    return np.asarray(-0.5 * np.where(n > 0.0, log_determinant + tail, 0.0))
+def log_likelihood(nis: FloatArray, determinant: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the heavy-tailed log likelihood `(...)` of readings; 0 where nothing was read.
+
+    Args:
+        nis: `(...)` e; 0 where nothing was read.
+        determinant: `(...)` det S; 1 where nothing was read.
+        rows: n, how many rows; broadcasts against the others.
+    """
+    c = CONSISTENT_SCALE[rows.astype(np.intp)]
+    return -0.5 * (np.log(determinant) + (TAIL_DEGREES_OF_FREEDOM + rows) * np.log1p(nis / c))
 
 
-def star_evidence(seen: Innovation) -> Evidence:
-    """Return what a star's innovations say; their last batch axis is `STAR`'s."""
-    likelihood = log_likelihood(seen)
-    S = np.diagonal(seen.innovation_covariance, axis1=-2, axis2=-1)
-    share = _slope(np.log(S))
-    r = seen.innovation
-    lead = _difference(r)
-    lead = np.concatenate(
-        [lead[..., : Row.COMPASS_YAW], wrap_angle(lead[..., Row.COMPASS_YAW :])], axis=-1
-    ) / (2.0 * NEIGHBOUR_STEP * np.sqrt(S[..., :1, :]))
-    n = seen.degrees_of_freedom[..., 0]
+def star_evidence(
+    innovation: FloatArray,
+    variance: FloatArray,
+    likelihood: FloatArray,
+    teaches: BoolArray,
+    rows: FloatArray,
+) -> Evidence:
+    """Return what the stars of L learners say, `(4, L, *batch)` and `(4, 4, L, *batch)`.
+
+    Args:
+        innovation: `(4, 9, L, *batch)` r, 0 where not available; filters as in `STAR`.
+        variance: `(4, 9, L, *batch)` diagonal of S.
+        likelihood: `(9, L, *batch)` of all rows together.
+        teaches: `(4, *batch)` which rows are learned from.
+        rows: `(*batch)` how many these are.
+    """
+    share = _slope(np.log(variance), 1)
+    lead = innovation[:, 1::2] - innovation[:, 2::2]
+    lead[Row.COMPASS_YAW :] = wrap_angle(lead[Row.COMPASS_YAW :])
+    lead /= 2.0 * NEIGHBOUR_STEP * np.sqrt(variance[:, :1])
+    share *= math.sqrt(0.5)
+    both = np.concatenate([share, lead])
+    both *= np.concatenate([teaches, teaches])[:, None, None]
     nu = TAIL_DEGREES_OF_FREEDOM
-    information = 0.5 * share @ np.swapaxes(share, -1, -2) + lead @ np.swapaxes(lead, -1, -2)
-    return Evidence(
-        log_likelihood=likelihood[..., 0],
-        score=_slope(likelihood[..., None])[..., 0],
-        # Fisher's information of Student's t is smaller by this factor.
-        information=information * ((nu + n) / (nu + n + 2.0))[..., None, None],
-    )
+    information = (both[:, :, None] * both[:, None]).sum(axis=0)
+    # Fisher's information of Student's t is smaller by this factor.
+    return Evidence(_slope(likelihood, 0), information * ((nu + rows) / (nu + rows + 2.0)))
 
 
-def side_by_side(one: Innovation, other: Innovation) -> Innovation:
-    """Return two stars' innovations as one batch `(..., 2, 9)`."""
-    return Innovation(
-        np.stack([one.innovation, other.innovation], axis=-3),
-        np.stack([one.innovation_covariance, other.innovation_covariance], axis=-4),
-        np.stack([one.kalman_gain, other.kalman_gain], axis=-4),
-        np.stack([one.nis, other.nis], axis=-2),
-        np.stack([one.degrees_of_freedom, other.degrees_of_freedom], axis=-2),
-    )
-
-
-def filters_of(seen: Innovation, filters: slice) -> Innovation:
-    """Return the innovations of some filters of the last batch axis."""
-    return Innovation(
-        seen.innovation[..., filters, :],
-        seen.innovation_covariance[..., filters, :, :],
-        seen.kalman_gain[..., filters, :, :],
-        seen.nis[..., filters],
-        np.broadcast_to(seen.degrees_of_freedom, seen.nis.shape)[..., filters],
-    )
-
-
-def _difference(of_star: FloatArray) -> FloatArray:
-    """Return + minus - for each scale: `(..., 9, m)` to `(..., 4, m)`."""
-    return of_star[..., 1::2, :] - of_star[..., 2::2, :]
-
-
-def _slope(of_star: FloatArray) -> FloatArray:
-    return _difference(of_star) / (2.0 * NEIGHBOUR_STEP)
+def _slope(of_star: FloatArray, axis: int) -> FloatArray:
+    before = (slice(None),) * axis
+    difference = of_star[(*before, slice(1, None, 2))] - of_star[(*before, slice(2, None, 2))]
+    return difference / (2.0 * NEIGHBOUR_STEP)

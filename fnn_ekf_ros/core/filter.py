@@ -1,338 +1,401 @@
-"""The whole filter as one immutable value and one pure function.
+"""The filter's step, in the paper's order.
 
-`step` reads as the method: predict by the wheels, carry the measurements to the period's end,
-judge them, correct, remember the innovation, adapt the noise. A `FilterState` is never changed,
-so keeping an old one is all it takes to go back in time. Every array may have leading batch
-dimensions.
+`fuse` takes a filter from one instant at which something was measured to the next: predict by the
+wheels, innovate, judge, correct, learn. `step` takes it over a period, which is as many instants as
+there were readings, and ends at the period's boundary; there the paper's modes adapt the noise.
+A `FilterState` is never changed, so keeping an old one is all it takes to go back in time.
+
+Every array has its components first and may have batch dimensions last: a mean is `(3, *batch)`.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import Adaptation, AdaptationMode, Scales, adapt
-from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray, select
+from fnn_ekf_ros.core.adaptation import Scales, adapt
+from fnn_ekf_ros.core.arrays import (
+    MEASUREMENT_SIZE,
+    STATE_OF_ROW,
+    BoolArray,
+    Constant,
+    FloatArray,
+    diagonal_of,
+)
+from fnn_ekf_ros.core.bank import (
+    FIX_ROWS,
+    Bank,
+    Readings,
+    correct,
+    innovate,
+    noise_of_readings,
+    predict,
+    wrapped,
+)
+from fnn_ekf_ros.core.candidate import follow_candidate, relocated, with_candidate
+from fnn_ekf_ros.core.evidence import log_likelihood
 from fnn_ekf_ros.core.gate import (
-    OPEN_GATE,
-    Gate,
+    SENSOR_COUNT,
     GateState,
+    Verdict,
     after_verdict,
     judge,
+    rows_by_sensor,
     rows_of,
-    start_gate,
     teaching,
 )
+from fnn_ekf_ros.core.instant import Instant
 from fnn_ekf_ros.core.joint import (
-    JointReport,
     JointState,
-    adapt_jointly,
-    at_pose,
-    calm_noise,
+    Learned,
+    Lesson,
+    fading,
+    learn,
     noise_in_use,
-    start_joint,
+    report,
+    stepped,
 )
-from fnn_ekf_ros.core.kalman import innovate, update
-from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.core.plant import (
+from fnn_ekf_ros.core.joint_filters import FORECASTS, step_forecasts
+from fnn_ekf_ros.core.pace import (
     NOMINAL_PERIOD_S,
-    Plant,
-    StepInput,
-    carry_to_end,
-    noise_matrix,
-    predict,
-    reported_scale,
+    after_readings,
+    is_step,
+    later,
+    scored_rows,
 )
-from fnn_ekf_ros.core.relocation import Candidate, Published, follow, no_candidate
-from fnn_ekf_ros.core.window import InnovationWindow, empty_window, push
+from fnn_ekf_ros.core.relocation import (
+    Relocation,
+    nis_by_sensor,
+)
+from fnn_ekf_ros.core.results import Epoch, Shown, StepResult, last_of_each_row
+from fnn_ekf_ros.core.state import (
+    JOINT,
+    PUBLISHED,
+    FilterModel,
+    FilterState,
+    with_noise,
+)
+from fnn_ekf_ros.core.suspects import (
+    LARGEST_NIS,
+    correct_robustly,
+    lead_after,
+    restarted,
+)
+from fnn_ekf_ros.core.window import push
 
 __all__ = [
     "NOMINAL_PERIOD_S",
+    "Epoch",
     "FilterModel",
     "FilterState",
-    "StepInput",
+    "Shown",
     "StepResult",
-    "for_mode",
-    "lasting_noise",
-    "reset_pose",
-    "start_filter",
+    "fuse",
     "step",
 ]
 
-
-@dataclass(frozen=True, slots=True)
-class FilterModel:
-    """What a filter is told once.
-
-    Attributes:
-        motion_model: f(x, u).
-        period_s: length of one step [s]; Q is scaled in proportion to it.
-        process_noise: diagonal of Q for `NOMINAL_PERIOD_S` at the start (m^2, rad^2).
-        measurement_noise: diagonal of R at the start, rows as in `Row`.
-        adaptation: how Q and R change.
-        gate: which readings are too wild to be right.
-    """
-
-    motion_model: MotionModel
-    period_s: float
-    process_noise: tuple[float, float]
-    measurement_noise: tuple[float, float, float, float]
-    adaptation: Adaptation
-    gate: Gate = OPEN_GATE
-
-    @property
-    def plant(self) -> Plant:
-        """What all filters of the robot share."""
-        scale = self.period_s / NOMINAL_PERIOD_S
-        return Plant(self.motion_model, scale, self.measurement_noise)
-
-
-class FilterState(NamedTuple):
-    """Everything a filter remembers.
-
-    Attributes:
-        mean: `(..., 3)` [x, y, theta] in the map frame (m, m, rad).
-        covariance: `(..., 3, 3)` P.
-        process_noise: `(..., 2)` diagonal of Q for `NOMINAL_PERIOD_S` (m^2, rad^2).
-        measurement_noise: `(..., 4)` diagonal of R, rows as in `Row`.
-        window: the last innovations.
-        joint: what joint adaptation remembers; None in the other modes.
-        gate: what the gate remembers.
-        candidate: where rejected readings say the robot is.
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
-    process_noise: FloatArray
-    measurement_noise: FloatArray
-    window: InnovationWindow
-    joint: JointState | None
-    gate: GateState
-    candidate: Candidate
-
-
-class StepResult(NamedTuple):
-    """What one period showed; for diagnostics and statistics.
-
-    Attributes:
-        innovation: `(..., 4)` r, 0 where not available (m, m, rad, rad).
-        innovation_variance: `(..., 4)` diagonal of S.
-        available: `(..., 4)` which rows were measured.
-        nis: `(...)` normalized innovation squared of the available rows.
-        degrees_of_freedom: `(...)` how many rows that were.
-        mismatch: `(..., 4)` D = S - C_hat.
-        firing_strength: `(..., 4, 3)` alpha of the rules I, M, D for the rows of R; in mode `q`
-            those of Q, in the rows of x and compass yaw; in mode `joint` of the four log scales.
-        process_firing_strength: `(..., 2, 3)` the same for Q's distance and rotation, modes `q`
-            and `rq`.
-        joint: what joint adaptation believes; None in the other modes.
-        sensor_nis: `(..., 2)` NIS of each sensor's rows, in the order of `gate`.
-        sensor_degrees_of_freedom: `(..., 2)` how many rows it measured.
-        rejected: `(..., 2)` whether the gate rejected it.
-        relocated: `(...)` whether the pose was moved to where rejected readings agree.
-    """
-
-    innovation: FloatArray
-    innovation_variance: FloatArray
-    available: BoolArray
-    nis: FloatArray
-    degrees_of_freedom: FloatArray
-    mismatch: FloatArray
-    firing_strength: FloatArray
-    process_firing_strength: FloatArray
-    joint: JointReport | None
-    sensor_nis: FloatArray
-    sensor_degrees_of_freedom: FloatArray
-    rejected: BoolArray
-    relocated: BoolArray
-
-
-def start_filter(
-    model: FilterModel,
-    mean: FloatArray,
-    covariance: FloatArray,
-    process_noise: FloatArray | None = None,
-    measurement_noise: FloatArray | None = None,
-) -> FilterState:
-    """Return the state of a filter that has seen nothing but its start.
-
-    Args:
-        model: the filter.
-        mean: `(..., 3)` start (m, m, rad); its leading dimensions are the batch's.
-        covariance: `(..., 3, 3)` covariance of the start.
-        process_noise: `(..., 2)` Q to start from instead of the model's (m^2, rad^2).
-        measurement_noise: `(..., 4)` R to start from instead of the model's.
-    """
-    batch = mean.shape[:-1]
-    covariance = np.broadcast_to(covariance, (*batch, STATE_SIZE, STATE_SIZE))
-    Q = np.asarray(model.process_noise if process_noise is None else process_noise)
-    R = np.asarray(model.measurement_noise if measurement_noise is None else measurement_noise)
-    Q = np.broadcast_to(Q, (*batch, Q.shape[-1]))
-    R = np.broadcast_to(R, (*batch, R.shape[-1]))
-    joint = model.adaptation.mode is AdaptationMode.JOINT
-    return FilterState(
-        mean=mean,
-        covariance=covariance,
-        process_noise=Q,
-        measurement_noise=R,
-        window=empty_window(model.adaptation.window_length, batch),
-        joint=start_joint(mean, covariance, Q, R) if joint else None,
-        gate=start_gate(batch),
-        candidate=no_candidate(mean, covariance, Q, R),
-    )
-
-
-def reset_pose(state: FilterState, mean: FloatArray, covariance: FloatArray) -> FilterState:
-    """Return the state at another pose; the adapted noise is kept, old innovations are not."""
-    length = state.window.squares.shape[-2]
-    return state._replace(
-        mean=mean,
-        covariance=covariance,
-        window=empty_window(length, mean.shape[:-1]),
-        joint=None if state.joint is None else at_pose(state.joint, mean, covariance),
-        gate=start_gate(mean.shape[:-1]),
-        candidate=no_candidate(mean, covariance, state.process_noise, state.measurement_noise),
-    )
-
-
-def for_mode(model: FilterModel, state: FilterState) -> FilterState:
-    """Return the state as the model's mode of adaptation needs it; itself where it does already.
-
-    The noise stays when the mode changes: what an alarm of mode joint adds for a moment does not.
-    Into mode joint that noise is its start, with nothing learned yet.
-    """
-    joint = model.adaptation.mode is AdaptationMode.JOINT
-    if joint == (state.joint is not None):
-        return state
-    if state.joint is None:
-        Q, R = state.process_noise, state.measurement_noise
-        return state._replace(joint=start_joint(state.mean, state.covariance, Q, R))
-    Q, R = lasting_noise(model, state.process_noise, state.measurement_noise, state.joint)
-    return state._replace(process_noise=Q, measurement_noise=R, joint=None)
-
-
-def lasting_noise(
-    model: FilterModel, Q: FloatArray, R: FloatArray, joint: JointState | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return noise without what an alarm adds for a moment, and within the bounds.
-
-    Args:
-        model: has the bounds.
-        Q: `(..., 2)` in use (m^2, rad^2).
-        R: `(..., 4)` in use.
-        joint: what joint adaptation remembers; None in the other modes, which have no alarms.
-    """
-    bounds = model.adaptation.bounds
-    if joint is not None:
-        Q, R = calm_noise(joint)
-    return (
-        np.clip(Q, bounds.process_min, bounds.process_max),
-        np.clip(R, bounds.measurement_min, bounds.measurement_max),
-    )
+_COMPONENTS = list(STATE_OF_ROW)
+_ONES = Constant([1.0] * MEASUREMENT_SIZE)
 
 
 def step(
-    model: FilterModel, state: FilterState, period: StepInput
+    model: FilterModel, state: FilterState, epochs: Sequence[Epoch]
 ) -> tuple[FilterState, StepResult]:
     """Take the filter over one period.
 
     Args:
         model: the filter.
         state: its state at the period's begin; not changed.
-        period: controls and measurements of the period.
+        epochs: which the period consists of, one at least.
 
     Returns:
         The state at the period's end, and what the period showed.
     """
-    plant = model.plant
-    noise = state.process_noise, state.measurement_noise
-    mean, covariance = predict(plant, state.mean, state.covariance, noise[0], period.control)
-    z = carry_to_end(plant, state.mean[..., 2], period)
-    R_full = noise_matrix(plant, noise[1], period)
-    seen = innovate(mean, covariance, z, R_full, period.available)
-
-    verdict = judge(model.gate, state.gate, seen, period.available)
-    accepted = period.available & ~rows_of(verdict.rejected)
-    used = seen
-    if np.any(verdict.rejected):
-        used = innovate(mean, covariance, z, R_full, accepted)
-    corrected, corrected_P = update(mean, covariance, R_full, accepted, used)
-    candidate, relocation = follow(
-        plant,
-        model.gate,
-        state.gate,
-        state.candidate,
-        Published(state.mean[..., 2], corrected, corrected_P, *noise),
-        period,
-        verdict,
-    )
-    teaches = period.available & rows_of(teaching(state.gate, verdict, relocation.explains))
-
-    window = push(state.window, seen.innovation, teaches)
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)[..., [0, 1, 2, 2]]
-    innovation_variance = variance + np.diagonal(R_full, axis1=-2, axis2=-1)
+    begin, shown = state, []
+    for epoch in epochs:
+        state, seen = fuse(model, state, epoch)
+        if seen is not None:
+            shown.append(seen)
+    last = last_of_each_row(shown) if shown else _nothing(state, begin.measurement_noise)
+    teaches = last.teaches & ~last.relocated
+    window = push(state.window, last.innovation, teaches)
     adapted = adapt(
         model.adaptation,
-        *noise,
+        state.process_noise,
+        state.measurement_noise,
         window,
-        innovation_variance,
+        last.innovation_variance,
         teaches,
-        mean[..., 2],
-        Scales(process=plant.period_scale, measurement=reported_scale(plant, period)),
+        last.heading,
+        Scales(process=model.period_s / NOMINAL_PERIOD_S, measurement=last.reported_scale),
     )
-    Q, R, alpha = adapted.process_noise, adapted.measurement_noise, adapted.firing_strength
-    joint, report = state.joint, None
+    state = state._replace(window=window)
+    if model.adaptation.moves_by_mismatch:
+        state = with_noise(model, state, adapted.process_noise, adapted.measurement_noise)
+    joint = None if state.joint is None else report(state.joint, last.learned)
+    return state, StepResult(
+        innovation=last.innovation,
+        innovation_variance=last.innovation_variance,
+        available=last.available,
+        nis=last.nis,
+        degrees_of_freedom=last.degrees_of_freedom,
+        mismatch=adapted.mismatch,
+        firing_strength=adapted.firing_strength if joint is None else joint.firing_strength,
+        process_firing_strength=adapted.process_firing_strength,
+        joint=joint,
+        sensor_nis=last.sensor_nis,
+        sensor_degrees_of_freedom=last.sensor_degrees_of_freedom,
+        rejected=last.rejected,
+        relocated=last.relocated,
+        shown=tuple(shown),
+    )
+
+
+def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterState, Shown | None]:
+    """Take the filter to the next instant.
+
+    Args:
+        model: the filter.
+        state: its state at the instant before; not changed.
+        epoch: the time until then, and what was measured at its end.
+
+    Returns:
+        The state after the readings, and what these showed; None without any.
+    """
+    elapsed = epoch.duration_s / NOMINAL_PERIOD_S
+    Q = elapsed * state.noise.process
+    predicted = predict(model.motion_model, state.bank, epoch.control, Q)
+    state = _later(model, state, epoch, elapsed)
+    if not epoch.available.any():
+        return _alarm_faded(model, state._replace(bank=wrapped(predicted))), None
+
+    readings = Readings(epoch.measurement, epoch.available)
+    compared = model.layout.compared
+    noise = noise_of_readings(
+        state.noise.filters(compared),
+        model.measurement_noise,
+        epoch.fix_covariance,
+        epoch.available,
+    )
+    seen = innovate(predicted.filters(compared), readings, noise.measurement)
+    taken = correct(predicted, seen, noise, epoch.available)
+    sensor_rows = rows_by_sensor(epoch.available)
+    instant = Instant(predicted, readings, noise, seen, taken, sensor_rows, epoch.fix_covariance)
+
+    nis = nis_by_sensor(seen, taken, 0)
+    verdict = judge(model.gate, state.gate, nis, instant.sensor_rows)
+    corrected, teaches = taken.bank, epoch.available
+    relocation, candidate, place = None, state.candidate, None
+    rejects = bool(verdict.rejected.any())
+    if rejects:
+        accepted = epoch.available & ~rows_of(verdict.rejected)
+        corrected = instant.corrected_by(accepted, slice(0, model.layout.suspects.start)).bank
+    if rejects or state.has_candidate(model):
+        candidate, place, relocation = follow_candidate(model, state, instant, verdict, corrected)
+        teaches = epoch.available & rows_of(teaching(state.gate, verdict, relocation.explains))
+    scored = scored_rows(state.pace, epoch.available, instant.sensor_rows)
+    bank, lead = _corrected_bank(model, state, instant, corrected, scored)
+    joint, learned = state.joint, None
     if joint is not None:
-        how = model.adaptation
-        joint, report = adapt_jointly(
-            plant,
-            how.networks.joint.sets,
-            how.bounds,
-            joint,
-            period,
-            accepted,
-            teaches,
-            how.learning,
+        joint, learned = _learn(model, state, joint, instant, bank, teaches, scored)
+    state = state._replace(
+        bank=wrapped(bank),
+        joint=joint,
+        gate=_gate_after(model, state, verdict, relocation),
+        lead=lead,
+        pace=after_readings(state.pace, instant.sensor_rows, scored),
+    )
+    if relocation is not None and place is not None:
+        state = with_candidate(model, state, candidate, place)
+        if relocation.confirmed.any():
+            state = relocated(model, state, relocation.confirmed)
+    if learned is not None and state.joint is not None:
+        state = with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
+    else:
+        state = _alarm_faded(model, state)
+    return state, Shown(
+        innovation=seen.innovation[:, 0],
+        innovation_variance=seen.variance[:, 0],
+        available=epoch.available,
+        teaches=teaches,
+        heading=predicted.mean[2, 0],
+        reported_scale=_reported_scale(model, epoch),
+        nis=taken.nis[0],
+        degrees_of_freedom=instant.sensor_rows.sum(axis=0),
+        sensor_nis=verdict.nis,
+        sensor_degrees_of_freedom=instant.sensor_rows,
+        rejected=verdict.rejected,
+        relocated=_nobody(nis) if relocation is None else relocation.confirmed,
+        learned=learned,
+    )
+
+
+def _later(model: FilterModel, state: FilterState, epoch: Epoch, elapsed: float) -> FilterState:
+    """Return the state with its clocks at the next instant."""
+    joint, candidate = state.joint, state.candidate
+    if joint is not None:
+        joint = fading(joint, epoch.control, elapsed)
+    if state.has_candidate(model):
+        candidate = candidate._replace(age_s=candidate.age_s + epoch.duration_s)
+    return state._replace(joint=joint, candidate=candidate, pace=later(state.pace, elapsed))
+
+
+def _gate_after(
+    model: FilterModel, state: FilterState, verdict: Verdict, relocation: Relocation | None
+) -> GateState:
+    """Return what the gate remembers; one that rejects nothing need not remember anything."""
+    if model.gate.is_open:
+        return state.gate
+    return after_verdict(
+        state.gate,
+        verdict,
+        verdict.rejected if relocation is None else relocation.agrees,
+        state.pace.sensors,
+        learns=model.adaptation.learns_measurement_noise,
+    )
+
+
+def _corrected_bank(
+    model: FilterModel, state: FilterState, instant: Instant, corrected: Bank, scored: BoolArray
+) -> tuple[Bank, FloatArray]:
+    """Return all filters but a candidate's after the readings, and the suspects' leads.
+
+    Args:
+        model: the filter.
+        state: before the readings.
+        instant: these.
+        corrected: the published filter and those of joint adaptation, at least, after them.
+        scored: `(4, *batch)` which rows are scored.
+    """
+    bank, which = instant.taken.bank.filters(model.layout.steady), model.layout.suspects
+    if corrected is not instant.taken.bank:
+        bank.mean[:, : which.start] = corrected.mean
+        bank.covariance[:, :, : which.start] = corrected.covariance
+    if not model.suspects:
+        return bank, state.lead
+    suspects, lead = _suspects_after(model, state, instant, bank.filters(PUBLISHED), scored)
+    bank.mean[:, which] = suspects.mean
+    bank.covariance[:, :, which] = suspects.covariance
+    return bank, lead
+
+
+def _suspects_after(
+    model: FilterModel, state: FilterState, instant: Instant, published: Bank, scored: BoolArray
+) -> tuple[Bank, FloatArray]:
+    """Return the suspects' filters after readings, and their leads."""
+    which, taken = model.layout.suspects, instant.taken
+    predicted, counts = instant.predicted.filters(which), np.asarray(scored.any(axis=0))
+    if not counts.any():
+        return predicted, state.lead
+    rows = instant.sensor_rows.sum(axis=0)
+    likelihood = log_likelihood(taken.nis[which], taken.determinant[which], rows)
+    lead = lead_after(state.lead, likelihood, counts)
+    if counts.all() and not lead.any():  # as most of the time: all start again
+        return published, lead
+    suspects = taken.bank.filters(which)
+    if (taken.nis[which] > LARGEST_NIS).any():  # no sensor's is larger than all rows' together
+        nis = [nis_by_sensor(instant.seen, taken, k) for k in range(which.start, which.stop)]
+        suspects = correct_robustly(
+            predicted,
+            instant.seen.filters(which),
+            instant.noise.filters(which),
+            instant.readings,
+            np.stack(nis, axis=1),
         )
-        Q, R = noise_in_use(joint, how.bounds)
-        alpha = report.firing_strength
-    after = FilterState(
-        corrected,
-        corrected_P,
-        Q,
-        R,
-        window,
-        joint,
-        after_verdict(
-            state.gate,
-            verdict,
-            relocation.agrees,
-            learns=model.adaptation.learns_measurement_noise,
-        ),
-        candidate,
-    )
-    result = StepResult(
-        seen.innovation,
-        innovation_variance,
-        period.available,
-        seen.nis,
-        seen.degrees_of_freedom,
-        adapted.mismatch,
-        alpha,
-        adapted.process_firing_strength,
-        report,
-        verdict.nis,
-        verdict.degrees_of_freedom,
-        verdict.rejected,
-        relocation.confirmed,
-    )
-    return _relocated(after, relocation.confirmed), result
+    suspects = restarted(suspects, published, lead)
+    return Bank(
+        np.where(counts, suspects.mean, predicted.mean),
+        np.where(counts, suspects.covariance, predicted.covariance),
+    ), lead
 
 
-def _relocated(state: FilterState, confirmed: BoolArray) -> FilterState:
-    """Return the filters that a candidate was confirmed for at its pose."""
-    if not np.any(confirmed):
+def _learn(
+    model: FilterModel,
+    state: FilterState,
+    joint: JointState,
+    instant: Instant,
+    bank: Bank,
+    teaches: BoolArray,
+    scored: BoolArray,
+) -> tuple[JointState, Learned | None]:
+    """Learn from readings that are scored, and take the forecasts on in the bank.
+
+    Args:
+        model: the filter.
+        state: before the readings.
+        joint: of joint adaptation, likewise.
+        instant: the readings.
+        bank: all filters after the readings; its forecasts are replaced.
+        teaches: `(4, *batch)` which rows are learned from.
+        scored: `(4, *batch)` which rows are scored.
+    """
+    of_joint, ahead = bank.filters(JOINT), instant.predicted.filters(JOINT)
+    of_joint.mean[:, FORECASTS] = ahead.mean[:, FORECASTS]
+    of_joint.covariance[:, :, FORECASTS] = ahead.covariance[:, :, FORECASTS]
+    teaches = teaches & scored
+    rows, counts = teaches.sum(axis=0, dtype=np.float64), scored.any(axis=0)
+    learned = None
+    if rows.any():
+        shown, which = instant.taken, JOINT
+        if not np.array_equal(teaches, instant.readings.available):
+            shown, which = instant.corrected_by(teaches, JOINT), slice(None)
+        likelihood = log_likelihood(shown.nis[which], shown.determinant[which], rows)
+        seen = instant.seen.filters(JOINT)
+        lesson = Lesson(
+            seen.innovation, seen.variance, likelihood, teaches, rows, scored, state.pace.scored
+        )
+        adaptation = model.adaptation
+        sets = adaptation.networks.joint.sets
+        learned = learn(joint, sets, adaptation.bounds, lesson, learning=adaptation.learning)
+        steps = is_step(state.pace, scored) & (rows > 0.0)
+        newer = bank.filters(model.layout.newer_forecasts)
+        step_forecasts(of_joint, newer, steps)
+        joint = stepped(learned.state, steps)
+    return joint._replace(way=np.where(counts, 0.0, joint.way)), learned
+
+
+def _alarm_faded(model: FilterModel, state: FilterState) -> FilterState:
+    """Return the state with the noise in use of an alarm that fades."""
+    if state.joint is None or not (state.joint.lead > 0.0).any():
         return state
-    moved = reset_pose(state, state.candidate.mean, state.candidate.covariance)
-    chosen: FilterState = select(confirmed, moved, state)
-    return chosen
+    return with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
+
+
+def _reported_scale(model: FilterModel, epoch: Epoch) -> FloatArray:
+    """Return by how much the R in use moves when the filter's own R moves by one."""
+    if epoch.fix_covariance is None:
+        return _ONES.behind(epoch.available.ndim - 1)
+    scale = np.ones(epoch.available.shape)
+    reported = diagonal_of(epoch.fix_covariance)
+    for place, row in enumerate(FIX_ROWS):
+        own = model.measurement_noise[row]
+        scale[row] = np.where(epoch.available[row], reported[place], own) / own
+    return scale
+
+
+def _nobody(nis: FloatArray) -> BoolArray:
+    """Return that no robot of a batch is meant, `(*batch)`, for NIS `(2, *batch)`."""
+    return np.zeros(nis.shape[1:], dtype=np.bool_)
+
+
+def _nothing(state: FilterState, R: FloatArray) -> Shown:
+    """Return what a period without readings shows: where it ended, and R `(4, *batch)` in use."""
+    batch = state.mean.shape[1:]
+    none = np.zeros((MEASUREMENT_SIZE, *batch))
+    nobody = np.zeros((SENSOR_COUNT, *batch))
+    no_row, no_sensor = none.astype(np.bool_), nobody.astype(np.bool_)
+    variance = state.covariance[_COMPONENTS, _COMPONENTS] + R
+    return Shown(
+        innovation=none,
+        innovation_variance=variance,
+        available=no_row,
+        teaches=no_row,
+        heading=state.mean[2],
+        reported_scale=np.ones_like(none),
+        nis=none[0],
+        degrees_of_freedom=none[0],
+        sensor_nis=nobody,
+        sensor_degrees_of_freedom=nobody,
+        rejected=no_sensor,
+        relocated=no_sensor[0],
+        learned=None,
+    )

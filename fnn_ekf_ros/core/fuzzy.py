@@ -19,11 +19,12 @@ M^-1 has two values; the branch M^-1(Z(x)) = c_M + (sigma_M/sigma_Z) (x - c_Z) m
 rules linear. A consequent of slope 0 (the initial D) has no inverse; its centre is taken.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.arrays import Constant, FloatArray
 
 _FAR = 1e100
 """A Gaussian's tail beyond so many widths is as good as this far; its square does not overflow."""
@@ -62,13 +63,13 @@ class FuzzySets(NamedTuple):
 
 
 class Inference(NamedTuple):
-    """What the network concluded; the last axis counts the rules I, M, D.
+    """What the network concluded; the first axis counts the rules I, M, D.
 
     Attributes:
         change: `(...)` dR in the sets' unit.
-        firing_strength: `(..., 3)` alpha, each in [0, 1].
-        normalized_firing: `(..., 3)` beta, sums to 1.
-        consequent: `(..., 3)` z, each rule's own dR.
+        firing_strength: `(3, ...)` alpha, each in [0, 1].
+        normalized_firing: `(3, ...)` beta, sums to 1.
+        consequent: `(3, ...)` z, each rule's own dR.
     """
 
     change: FloatArray
@@ -99,10 +100,10 @@ def infer(sets: FuzzySets, mismatch: FloatArray) -> Inference:
     x = -mismatch
     log_alpha = _log_firing(sets, x)
     # Normalised in logarithms: where every set is far away the nearest one still decides.
-    relative = np.exp(log_alpha - np.max(log_alpha, axis=-1, keepdims=True))
-    beta = relative / np.sum(relative, axis=-1, keepdims=True)
+    beta = np.exp(log_alpha - log_alpha.max(axis=0))
+    beta /= beta.sum(axis=0)
     z = _consequents(sets, x)
-    return Inference(np.sum(beta * z, axis=-1), np.exp(log_alpha), beta, z)
+    return Inference((beta * z).sum(axis=0), np.exp(log_alpha), beta, z)
 
 
 def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
@@ -115,15 +116,15 @@ def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
         mismatch: `(...)` D in the sets' unit.
 
     Returns:
-        `(..., 12)`, in the order of `FuzzySets`. Where D is crisp (slope 0) the derivative by
+        `(12, ...)`, in the order of `FuzzySets`. Where D is crisp (slope 0) the derivative by
         its slope is 0: there is no inverse to differentiate.
     """
     x = -mismatch
     s = sets
     output = infer(sets, mismatch)
     beta, z, dR = output.normalized_firing, output.consequent, output.change
-    weight_i, weight_m, weight_d = np.moveaxis(beta * (z - dR[..., None]), -1, 0)
-    beta_i, beta_m, beta_d = np.moveaxis(beta, -1, 0)
+    weight_i, weight_m, weight_d = beta * (z - dR)
+    beta_i, beta_m, beta_d = beta
 
     p_rest = sigmoid(x, -s.positive_slope, s.positive_center)  # 1 - P
     n_rest = sigmoid(x, -s.negative_slope, s.negative_center)  # 1 - N
@@ -149,8 +150,7 @@ def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
             beta_m * from_z / s.zero_width,
             weight_m * from_z / s.zero_width**2 - beta_m * ratio_m,
             weight_m * from_z**2 / s.zero_width**3 - beta_m * ratio_m * from_z / s.zero_width,
-        ],
-        axis=-1,
+        ]
     )
 
 
@@ -182,12 +182,12 @@ def infer_centroid(
             decrease,
         ]
     )
-    clipped = np.minimum(alpha[..., None], consequents)
-    mu = np.max(clipped, axis=-2)
+    clipped = np.minimum(alpha[..., None], consequents.reshape(3, *(1,) * (alpha.ndim - 1), -1))
+    mu = np.max(clipped, axis=0)
     change = _weighted_mean(z, mu)
     consequent = _weighted_mean(z, clipped)
-    total = np.sum(alpha, axis=-1, keepdims=True)
-    beta = np.where(total > 0.0, alpha, 1.0) / np.where(total > 0.0, total, alpha.shape[-1])
+    total = np.sum(alpha, axis=0)
+    beta = np.where(total > 0.0, alpha, 1.0) / np.where(total > 0.0, total, len(alpha))
     return Inference(change, alpha, beta, consequent)
 
 
@@ -207,25 +207,45 @@ def _log_gaussian(x: FloatArray, center: float, width: float) -> FloatArray:
 
 
 def _log_firing(sets: FuzzySets, x: FloatArray) -> FloatArray:
-    return np.stack(
-        [
-            _log_sigmoid(x, sets.negative_slope, sets.negative_center),
-            _log_gaussian(x, sets.zero_center, sets.zero_width),
-            _log_sigmoid(x, sets.positive_slope, sets.positive_center),
-        ],
-        axis=-1,
-    )
+    linear = _linear(sets)
+    log_alpha = np.empty((3, *x.shape))
+    steepness, center = linear.steepness.behind(x.ndim), linear.center.behind(x.ndim)
+    np.logaddexp(0.0, -steepness * (x - center), out=log_alpha[::2])
+    np.negative(log_alpha[::2], out=log_alpha[::2])
+    log_alpha[1] = _log_gaussian(x, sets.zero_center, sets.zero_width)
+    return log_alpha
 
 
 def _consequents(sets: FuzzySets, x: FloatArray) -> FloatArray:
-    increase = sets.increase_center + sets.negative_slope / sets.increase_slope * (
-        x - sets.negative_center
+    linear = _linear(sets)
+    z = linear.slope.behind(x.ndim) * (x - linear.origin.behind(x.ndim))
+    z += linear.level.behind(x.ndim)
+    return z
+
+
+class _Linear(NamedTuple):
+    """The sets as arrays by rule: two sigmoids N and P, and z = level + slope (x - origin)."""
+
+    steepness: Constant
+    center: Constant
+    slope: Constant
+    origin: Constant
+    level: Constant
+
+
+@lru_cache(maxsize=64)
+def _linear(sets: FuzzySets) -> _Linear:
+    crisp = sets.decrease_slope == 0.0
+    return _Linear(
+        Constant([sets.negative_slope, sets.positive_slope]),
+        Constant([sets.negative_center, sets.positive_center]),
+        Constant(
+            [
+                sets.negative_slope / sets.increase_slope,
+                sets.maintain_width / sets.zero_width,
+                0.0 if crisp else sets.positive_slope / sets.decrease_slope,
+            ]
+        ),
+        Constant([sets.negative_center, sets.zero_center, sets.positive_center]),
+        Constant([sets.increase_center, sets.maintain_center, sets.decrease_center]),
     )
-    maintain = sets.maintain_center + sets.maintain_width / sets.zero_width * (x - sets.zero_center)
-    if sets.decrease_slope == 0.0:
-        decrease = np.full_like(x, sets.decrease_center)
-    else:
-        decrease = sets.decrease_center + sets.positive_slope / sets.decrease_slope * (
-            x - sets.positive_center
-        )
-    return np.stack([increase, maintain, decrease], axis=-1)

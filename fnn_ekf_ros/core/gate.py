@@ -4,7 +4,8 @@ A reading is rejected if its normalised innovation squared NIS = r' S^-1 r excee
 one exceeds with a small chance, times the sensor's *spread*. Nothing can be locked out:
 
     spread      s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
-                s <- 1.65 s with one that is rejected and that agrees with none before it
+                s <- 1.65 s with one that is rejected and that agrees with none before it;
+                a sensor faster than the nominal period gets there in the same time
     learning    where R is learned, readings that are rejected and agree with nothing teach, too,
                 that it was too small; the spread stays smaller there, or together they would
                 take a fix in millimeters for one in meters
@@ -13,17 +14,19 @@ one exceeds with a small chance, times the sensor's *spread*. Nothing can be loc
 
 A reading that is rejected teaches the adaptation nothing, unless the one before it or several of
 late were rejected, too, and no other place of the robot explains it: that is noise, and noise is
-to be learned. So a lone wild fix does to the filter exactly what a missing one does.
+to be learned. So a single outlier has exactly the effect of a missing reading, except on which
+compass readings are scored (`pace`) and, in mode joint, on how fast what was learned fades.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
+from fnn_ekf_ros.core.bank import FIX_ROWS
 from fnn_ekf_ros.core.chi_square import exceeded_with
-from fnn_ekf_ros.core.kalman import Innovation
 
 SENSOR_COUNT = 2
 COMPASS, LRF_POSE = range(SENSOR_COUNT)
@@ -31,7 +34,7 @@ COMPASS, LRF_POSE = range(SENSOR_COUNT)
 SENSOR_OF_ROW = [LRF_POSE, LRF_POSE, COMPASS, LRF_POSE]
 """Whose each row is, rows as in `Row`."""
 SPREAD_MEMORY = 0.7
-"""Part of the spread that an accepted reading leaves."""
+"""Part of the spread that an accepted reading of a slow sensor leaves."""
 SPREAD_GROWTH = 1.65
 """With e^(1/2) a rejected reading, a gate that is too tight by 25 in variance opens after six."""
 
@@ -44,7 +47,7 @@ SHARE_MEMORY = 0.9
 NOISY_SHARE = 0.095
 """A share that the reading before leaves, or several lately: a rejected one is noise then."""
 
-_LRF_ROWS = [Row.X, Row.Y, Row.LRF_YAW]
+_FIX_ROWS = list(FIX_ROWS)
 
 
 class Gate(NamedTuple):
@@ -59,16 +62,21 @@ class Gate(NamedTuple):
     @property
     def is_open(self) -> bool:
         """Whether it rejects nothing."""
-        return all(math.isinf(limit) for limits in self.thresholds for limit in limits[1:])
+        return _rejects_nothing(self)
+
+
+@lru_cache(maxsize=16)
+def _rejects_nothing(gate: Gate) -> bool:
+    return all(math.isinf(limit) for limits in gate.thresholds for limit in limits[1:])
 
 
 class GateState(NamedTuple):
     """What the gate remembers.
 
     Attributes:
-        spread: `(..., 2)` s of each sensor, 1 or more.
-        rejections: `(..., 2)` how many readings of each sensor were rejected in a row.
-        rejected_share: `(..., 2)` how many were lately, as a part of all.
+        spread: `(2, *batch)` s of each sensor, 1 or more.
+        rejections: `(2, *batch)` how many readings of each sensor were rejected in a row.
+        rejected_share: `(2, *batch)` how many were lately, as a part of all.
     """
 
     spread: FloatArray
@@ -77,12 +85,12 @@ class GateState(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What the gate says about the readings of a period.
+    """What the gate says about the readings of an instant.
 
     Attributes:
-        nis: `(..., 2)` of each sensor; 0 where it did not speak.
-        degrees_of_freedom: `(..., 2)` n, how many rows it measured.
-        rejected: `(..., 2)` whether it was rejected.
+        nis: `(2, *batch)` of each sensor; 0 where it did not speak.
+        degrees_of_freedom: `(2, *batch)` n, how many rows it measured.
+        rejected: `(2, *batch)` whether it was rejected.
     """
 
     nis: FloatArray
@@ -104,84 +112,96 @@ OPEN_GATE = gate_for(0.0, 0.0)
 
 def start_gate(batch: tuple[int, ...] = ()) -> GateState:
     """Return the state of a gate that has seen nothing."""
-    none = np.zeros((*batch, SENSOR_COUNT))
+    none = np.zeros((SENSOR_COUNT, *batch))
     return GateState(np.ones_like(none), none, none)
 
 
-def nis_by_sensor(seen: Innovation, available: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return NIS and number of rows of each sensor, `(..., 2)` both."""
-    r, S = seen.innovation, seen.innovation_covariance
-    compass = r[..., Row.COMPASS_YAW] ** 2 / S[..., Row.COMPASS_YAW, Row.COMPASS_YAW]
-    block = S[..., _LRF_ROWS, :][..., _LRF_ROWS]
-    of_lrf = r[..., _LRF_ROWS]
-    whitened = np.linalg.solve(block, of_lrf[..., None])[..., 0]
-    nis = np.stack([compass, np.sum(of_lrf * whitened, axis=-1)], axis=-1)
-    rows = available.astype(np.float64)
-    count = np.stack([rows[..., Row.COMPASS_YAW], np.sum(rows[..., _LRF_ROWS], axis=-1)], axis=-1)
-    return nis, count
+def rows_by_sensor(available: BoolArray) -> FloatArray:
+    """Return how many rows each sensor measured, `(2, *batch)`, of `(4, *batch)` available."""
+    count = np.empty((SENSOR_COUNT, *available.shape[1:]))
+    count[COMPASS] = available[Row.COMPASS_YAW]
+    count[LRF_POSE] = available[_FIX_ROWS].sum(axis=0)
+    return count
 
 
-def judge(gate: Gate, state: GateState, seen: Innovation, available: BoolArray) -> Verdict:
+def judge(gate: Gate, state: GateState, nis: FloatArray, rows: FloatArray) -> Verdict:
     """Return which sensors' readings are rejected.
 
     Args:
         gate: the thresholds.
         state: what was before.
-        seen: innovations against the filter's prediction.
-        available: `(..., 4)` which rows were measured.
+        nis: `(2, *batch)` of each sensor against the filter's prediction.
+        rows: `(2, *batch)` how many rows it measured.
     """
-    nis, count = nis_by_sensor(seen, available)
-    return Verdict(nis, count, nis > limits(gate, count) * state.spread)
+    return Verdict(nis, rows, nis > limits(gate, rows) * state.spread)
 
 
-def limits(gate: Gate, count: FloatArray) -> FloatArray:
-    """Return the largest NIS `(..., 2)` for numbers of rows `(..., 2)`."""
-    rows = count.astype(np.int64)
-    return np.stack(
-        [np.asarray(of_sensor)[rows[..., i]] for i, of_sensor in enumerate(gate.thresholds)],
-        axis=-1,
-    )
+def limits(gate: Gate, rows: FloatArray) -> FloatArray:
+    """Return the largest NIS `(2, *batch)` for numbers of rows `(2, *batch)`."""
+    count = rows.astype(np.intp)
+    found = np.empty(rows.shape)
+    for sensor, thresholds in enumerate(gate.thresholds):
+        found[sensor] = np.asarray(thresholds)[count[sensor]]
+    return found
 
 
 def rows_of(sensors: BoolArray) -> BoolArray:
-    """Return `(..., 4)` for rows what `(..., 2)` says for their sensors."""
-    return sensors[..., SENSOR_OF_ROW]
+    """Return `(4, *batch)` for rows what `(2, *batch)` says for their sensors."""
+    return sensors[SENSOR_OF_ROW]
 
 
 def after_verdict(
-    state: GateState, verdict: Verdict, agrees: BoolArray, *, learns: bool
+    state: GateState,
+    verdict: Verdict,
+    agrees: BoolArray,
+    elapsed: FloatArray,
+    *,
+    learns: bool,
 ) -> GateState:
-    """Return the state after a period.
+    """Return the state after an instant.
 
     Args:
         state: before it.
         verdict: what was said in it.
-        agrees: `(..., 2)` whether a reading agrees with those that were rejected before it.
+        agrees: `(2, *batch)` whether a reading agrees with those that were rejected before it.
+        elapsed: `(2, *batch)` since the sensor's last reading [nominal periods]; from 1 on a
+            reading is worth a whole one.
         learns: whether R is learned from what is rejected.
     """
-    n = np.maximum(verdict.degrees_of_freedom, 1.0)
-    remembered = SPREAD_MEMORY * state.spread + (1.0 - SPREAD_MEMORY) * verdict.nis / n
-    largest = LARGEST_SPREAD_LEARNING if learns else LARGEST_SPREAD
-    grown = np.minimum(SPREAD_GROWTH * state.spread, largest)
-    grown = np.where(agrees, state.spread, grown)
-    spread = np.where(verdict.rejected, grown, np.clip(remembered, 1.0, largest))
     spoke = verdict.degrees_of_freedom > 0.0
-    rejections = np.where(verdict.rejected, state.rejections + 1.0, 0.0)
-    share = SHARE_MEMORY * state.rejected_share + (1.0 - SHARE_MEMORY) * verdict.rejected
+    largest = LARGEST_SPREAD_LEARNING if learns else LARGEST_SPREAD
+    kept, growth = _rates(elapsed)
+    mean_nis = verdict.nis / np.maximum(verdict.degrees_of_freedom, 1.0)
+    spread = kept * state.spread + (1.0 - kept) * mean_nis
+    spread = np.minimum(np.maximum(spread, 1.0), largest)
+    share = SHARE_MEMORY * state.rejected_share
+    rejections = state.rejections
+    if verdict.rejected.any():
+        grown = np.minimum(growth * state.spread, largest)
+        spread = np.where(verdict.rejected, np.where(agrees, state.spread, grown), spread)
+        share += (1.0 - SHARE_MEMORY) * verdict.rejected
     return GateState(
         np.where(spoke, spread, state.spread),
-        np.where(spoke, rejections, state.rejections),
+        np.where(spoke, (rejections + 1.0) * verdict.rejected, rejections),
         np.where(spoke, share, state.rejected_share),
     )
 
 
+def _rates(elapsed: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
+    """Return what a reading leaves of the spread, and by how much it widens it."""
+    if (elapsed >= 1.0).all():
+        return SPREAD_MEMORY, SPREAD_GROWTH
+    part = np.minimum(elapsed, 1.0)
+    return SPREAD_MEMORY**part, SPREAD_GROWTH**part
+
+
 def teaching(state: GateState, verdict: Verdict, explained: BoolArray) -> BoolArray:
-    """Return whose readings `(..., 2)` the adaptation is to learn from.
+    """Return whose readings `(2, *batch)` the adaptation is to learn from.
 
     Args:
-        state: before the period.
+        state: before the instant.
         verdict: what was said in it.
-        explained: `(..., 2)` whether another place of the robot explains a reading.
+        explained: `(2, *batch)` whether another place of the robot explains a reading.
     """
     noisy = state.rejected_share >= NOISY_SHARE
     return ~verdict.rejected | (noisy & ~explained)

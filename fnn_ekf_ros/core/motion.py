@@ -21,7 +21,12 @@ Jacobians, with d = direction of the step, dx = x' - x, dy = y' - y:
         | 0  0    1 |        |    0       1 |
 
 where s = sinc(dtheta/2) for the arc and 1 for the paper's model, and (gx, gy) is the derivative
-of (x', y') with respect to dtheta.
+of (x', y') with respect to dtheta. Components come first, then filters and batch.
+
+W Q W' puts the noise of a step at its end. A step that is cut in two has noise in its middle as
+well, which the rest of the way turns into a little more position variance sideways: at 0.3 m/s and
+3 degrees a period, 3.3 instead of 2.9 mm (standard deviation). Both are approximations of noise
+that is spread evenly over the way.
 """
 
 from enum import StrEnum
@@ -29,7 +34,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 
 # Below this half angle the power series are exact to double precision; above it the closed
@@ -48,30 +52,54 @@ class Motion(NamedTuple):
     """One step of a motion model.
 
     Attributes:
-        mean: `(..., 3)` state after the step (m, m, rad in (-pi, pi]).
-        motion_jacobian: `(..., 3, 3)` A = df/dx.
-        noise_jacobian: `(..., 3, 2)` W = df/du.
+        mean: `(3, ...)` state after the step (m, m, rad; the heading is not wrapped).
+        by_heading: `(2, ...)` derivative of (x', y') by the heading, [-dy, dx].
+        by_way: `(2, ...)` derivative of (x', y') by dS.
+        by_turn: `(2, ...)` derivative of (x', y') by dtheta.
     """
 
     mean: FloatArray
-    motion_jacobian: FloatArray
-    noise_jacobian: FloatArray
+    by_heading: FloatArray
+    by_way: FloatArray
+    by_turn: FloatArray
+
+    def motion_jacobian(self) -> FloatArray:
+        """Return A = df/dx, `(3, 3, ...)`."""
+        A = np.zeros((3, *self.mean.shape))
+        A[0, 0] = A[1, 1] = A[2, 2] = 1.0
+        A[:2, 2] = self.by_heading
+        return A
+
+    def noise_jacobian(self) -> FloatArray:
+        """Return W = df/du, `(3, 2, ...)`."""
+        W = np.zeros((3, 2, *self.mean.shape[1:]))
+        W[:2, 0], W[:2, 1], W[2, 1] = self.by_way, self.by_turn, 1.0
+        return W
 
 
 def sinc(h: FloatArray) -> FloatArray:
     """Return sin(h)/h, 1 at zero; any shape [rad]."""
-    h2 = h * h
-    series = 1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0))
-    safe = np.where(np.abs(h) < _SERIES_LIMIT, 1.0, h)
-    return np.where(np.abs(h) < _SERIES_LIMIT, series, np.sin(safe) / safe)
+    return _sinc_and_derivative(h)[0]
 
 
 def sinc_derivative(h: FloatArray) -> FloatArray:
     """Return d/dh sin(h)/h = (cos h - sinc h)/h, 0 at zero; any shape [rad]."""
+    return _sinc_and_derivative(h)[1]
+
+
+def _sinc_and_derivative(h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    small = abs(h) < _SERIES_LIMIT
+    if not small.any():
+        value = np.sin(h) / h
+        return value, (np.cos(h) - value) / h
     h2 = h * h
-    series = -h / 3.0 * (1.0 - h2 / 10.0 * (1.0 - h2 / 28.0 * (1.0 - h2 / 54.0)))
-    safe = np.where(np.abs(h) < _SERIES_LIMIT, 1.0, h)
-    return np.where(np.abs(h) < _SERIES_LIMIT, series, (np.cos(safe) - np.sin(safe) / safe) / safe)
+    series = 1.0 - h2 / 6.0 * (1.0 - h2 / 20.0 * (1.0 - h2 / 42.0))
+    slope = -h / 3.0 * (1.0 - h2 / 10.0 * (1.0 - h2 / 28.0 * (1.0 - h2 / 54.0)))
+    if small.all():
+        return series, slope
+    safe = np.where(small, 1.0, h)
+    value = np.sin(safe) / safe
+    return np.where(small, series, value), np.where(small, slope, (np.cos(safe) - value) / safe)
 
 
 def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -> FloatArray:
@@ -80,17 +108,17 @@ def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -
     Args:
         model: the motion model.
         heading: `(...)` heading before the step [rad].
-        control: `(..., 2)` [dS, dtheta] (m, rad).
+        control: `(2, ...)` [dS, dtheta] (m, rad).
 
     Returns:
-        `(..., 3)`: [dx, dy, dtheta] (m, m, rad).
+        `(3, ...)`: [dx, dy, dtheta] (m, m, rad).
     """
-    heading, way, turn = np.broadcast_arrays(heading, control[..., 0], control[..., 1])
+    heading, way, turn = np.broadcast_arrays(heading, control[0], control[1])
     if model is MotionModel.PAPER:
         chord, direction = way, heading + turn
     else:
         chord, direction = way * sinc(0.5 * turn), heading + 0.5 * turn
-    return np.stack([chord * np.cos(direction), chord * np.sin(direction), turn], axis=-1)
+    return np.stack([chord * np.cos(direction), chord * np.sin(direction), turn])
 
 
 def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:
@@ -98,37 +126,33 @@ def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:
 
     Args:
         model: the motion model.
-        mean: `(..., 3)` [x, y, theta] before the step (m, m, rad).
-        control: `(..., 2)` [dS, dtheta] (m, rad); leading dimensions broadcast.
+        mean: `(3, ...)` [x, y, theta] before the step (m, m, rad).
+        control: `(2, ...)` [dS, dtheta] (m, rad), for all filters the same: it broadcasts against
+            the trailing dimensions of `mean`.
     """
-    mean, control = np.broadcast_arrays(mean, np.concatenate([control, control[..., :1]], axis=-1))
-    way, turn, heading = control[..., 0], control[..., 1], mean[..., 2]
+    way, turn = control[0], control[1]
+    direction, after = np.empty((2, *mean.shape[1:])), np.empty(mean.shape)
+    after[2] = mean[2] + turn
     if model is MotionModel.PAPER:
-        scale, direction = np.ones_like(way), heading + turn
-        c, s = np.cos(direction), np.sin(direction)
-        gx, gy = -way * s, way * c
+        direction[0], direction[1] = np.cos(after[2]), np.sin(after[2])
+        by_way, moved = direction, way * direction
+        by_turn = by_heading = _turned_left(moved)
     else:
         half = 0.5 * turn
-        scale, direction = sinc(half), heading + half
-        c, s = np.cos(direction), np.sin(direction)
-        slope = 0.5 * way * sinc_derivative(half)
-        lever = 0.5 * way * scale
-        gx, gy = slope * c - lever * s, slope * s + lever * c
-    dx, dy = way * scale * c, way * scale * s
+        scale, slope = _sinc_and_derivative(half)
+        middle = mean[2] + half
+        direction[0], direction[1] = np.cos(middle), np.sin(middle)
+        by_way = scale * direction
+        moved = way * by_way
+        by_heading = _turned_left(moved)
+        by_turn = (0.5 * way * slope) * direction
+        by_turn += 0.5 * by_heading
+    after[:2] = mean[:2] + moved
+    return Motion(after, by_heading, by_way, by_turn)
 
-    motion_jacobian = np.zeros((*mean.shape, 3))
-    motion_jacobian[..., 0, 0] = 1.0
-    motion_jacobian[..., 1, 1] = 1.0
-    motion_jacobian[..., 2, 2] = 1.0
-    motion_jacobian[..., 0, 2] = -dy
-    motion_jacobian[..., 1, 2] = dx
 
-    noise_jacobian = np.zeros((*mean.shape, 2))
-    noise_jacobian[..., 0, 0] = scale * c
-    noise_jacobian[..., 1, 0] = scale * s
-    noise_jacobian[..., 0, 1] = gx
-    noise_jacobian[..., 1, 1] = gy
-    noise_jacobian[..., 2, 1] = 1.0
-
-    moved = np.stack([mean[..., 0] + dx, mean[..., 1] + dy, wrap_angle(heading + turn)], axis=-1)
-    return Motion(moved, motion_jacobian, noise_jacobian)
+def _turned_left(vector: FloatArray) -> FloatArray:
+    """Return vectors `(2, ...)` turned by a right angle, counter-clockwise."""
+    turned = np.empty_like(vector)
+    turned[0], turned[1] = -vector[1], vector[0]
+    return turned

@@ -46,8 +46,8 @@ def control_from_counts(
         right_counts: counts of the right wheel over the step, `(...)`.
 
     Returns:
-        `(..., 2)`: [dS, dtheta], way of the axle's middle [m] and turn, counter-clockwise [rad].
+        `(2, ...)`: [dS, dtheta], way of the axle's middle [m] and turn, counter-clockwise [rad].
     """
-    left = geometry.metres_per_count * np.asarray(left_counts, dtype=np.float64)
-    right = geometry.metres_per_count * np.asarray(right_counts, dtype=np.float64)
-    return np.stack([0.5 * (left + right), (right - left) / geometry.wheel_separation], axis=-1)
+    left = geometry.metres_per_count * left_counts
+    right = geometry.metres_per_count * right_counts
+    return np.array([0.5 * (left + right), (right - left) / geometry.wheel_separation])

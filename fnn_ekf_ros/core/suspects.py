@@ -1,10 +1,10 @@
 """Suspects: which of wheels, compass and fixes does not fit the other two.
 
 An innovation says that something is wrong, not what: wheels that slip make compass and fixes look
-wrong, too. So four filters run beside the published one: one believes all three, and each of the
-others has one suspect, whose noise it takes for `SUSPICION` times larger. How much better a
-suspect's filter predicts what is measured than the one that suspects nobody is summed up (Page
-1954, with the likelihood of `evidence`):
+wrong, too. So four filters of the bank run beside the published one: one believes all three, and
+each of the others has one suspect, whose noise it takes for `SUSPICION` times larger. How much
+better a suspect's filter predicts what is measured than the one that suspects nobody is summed up
+(Page 1954, with the likelihood of `evidence`):
 
     lead <- max(0, lead + l_suspect - l_nobody)
 
@@ -14,117 +14,98 @@ of a fault that begins now; how seldom a right sensor gets there falls exponenti
 If a lead exceeds its cap, all fall by as much: who leads by how much stays.
 
 A wild reading moves these filters by a bounded way only (Huber 1964), so that the next good one is
-not mistaken for wild.
+not mistaken for wild. They are told of the readings that are scored, a few a second (`pace`), and
+of no others: errors of a fast sensor last, and whoever hears it often would believe it.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.evidence import log_likelihood
-from fnn_ekf_ros.core.gate import SENSOR_OF_ROW, nis_by_sensor
-from fnn_ekf_ros.core.kalman import innovate, update
-from fnn_ekf_ros.core.plant import (
-    Plant,
-    StepInput,
-    carry_to_end,
-    for_each,
-    noise_matrix,
-    predict,
-)
+from fnn_ekf_ros.core.arrays import BoolArray, Constant, FloatArray
+from fnn_ekf_ros.core.bank import Bank, Innovations, Noise, Readings, correct
+from fnn_ekf_ros.core.gate import SENSOR_OF_ROW, rows_by_sensor
 
 SUSPECTS = ("encoders", "compass", "lrf_pose")
 """Who can be suspected, in the order of the leads."""
 SUSPICION = 25.0
 """By how much larger a suspect's noise is taken for, in variance: five times in std."""
 LARGEST_GAIN = 20.0
-"""No period says more for or against a suspect [nats]."""
+"""No reading says more for or against a suspect [nats]."""
 LONGEST_LEAD = 40.0
 """No lead grows further [nats]."""
 LARGEST_NIS = 9.0
 """Per row: a reading with more moves a filter as if it had no more, three standard deviations."""
 
-_FILTERS = 1 + len(SUSPECTS)
-_PROCESS: FloatArray = np.array([[1.0] * 2, [SUSPICION] * 2, [1.0] * 2, [1.0] * 2])
-_MEASUREMENT: FloatArray = np.array(
-    [[1.0] * 4, [1.0] * 4, [1.0, 1.0, SUSPICION, 1.0], [SUSPICION, SUSPICION, 1.0, SUSPICION]]
+SUSPECT_COUNT = 1 + len(SUSPECTS)
+"""Filters: nobody suspected, and each of `SUSPECTS`."""
+_PROCESS = Constant([[1.0, SUSPICION, 1.0, 1.0]] * 2)
+_MEASUREMENT = Constant(
+    [[1.0, 1.0, 1.0, SUSPICION]] * 2 + [[1.0, 1.0, SUSPICION, 1.0]] + [[1.0, 1.0, 1.0, SUSPICION]]
 )
-"""Noise of the filters over the usual one: nobody suspected, encoders, compass, fixes."""
+"""Noise of the filters over the usual one."""
 
 
-class SuspectState(NamedTuple):
-    """What is remembered of the suspects.
+def noise_of_suspects(process: FloatArray, measurement: FloatArray) -> Noise:
+    """Return the suspects' noise, of Q `(2, *batch)` and R `(4, *batch)` that are usual.
 
-    Attributes:
-        lead: `(..., 3)` by how much better each suspicion has predicted of late [nats].
-        mean: `(..., 4, 3)` filters: nobody suspected, and each of `SUSPECTS` (m, m, rad).
-        covariance: `(..., 4, 3, 3)` their covariances.
+    Usual is the noise without an alarm's share.
     """
-
-    lead: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
-
-
-def no_suspects(mean: FloatArray, covariance: FloatArray) -> SuspectState:
-    """Return the state in which nobody is suspected, at a pose `(..., 3)`, `(..., 3, 3)`."""
-    batch = mean.shape[:-1]
-    return SuspectState(
-        np.zeros((*batch, len(SUSPECTS))),
-        np.broadcast_to(mean[..., None, :], (*batch, _FILTERS, 3)),
-        np.broadcast_to(covariance[..., None, :, :], (*batch, _FILTERS, 3, 3)),
+    batch = process.ndim - 1
+    return Noise(
+        process[:, None] * _PROCESS.behind(batch), measurement[:, None] * _MEASUREMENT.behind(batch)
     )
 
 
-def suspect(
-    plant: Plant,
-    state: SuspectState,
-    noise: tuple[FloatArray, FloatArray],
-    period: StepInput,
-    published: tuple[FloatArray, FloatArray],
-) -> SuspectState:
-    """Take the suspects over one period.
+def lead_after(lead: FloatArray, likelihood: FloatArray, scored: BoolArray) -> FloatArray:
+    """Return the leads `(3, *batch)` after readings.
 
     Args:
-        plant: the robot.
-        state: before the period; not changed.
-        noise: Q `(..., 2)` and R `(..., 4)` that are usual: without an alarm's share.
-        period: what it brought.
-        published: mean `(..., 3)` and covariance `(..., 3, 3)` of the published filter after it.
+        lead: before them [nats].
+        likelihood: `(4, *batch)` log likelihood of the readings, for each filter.
+        scored: `(*batch)` whether the readings say anything.
     """
-    Q = noise[0][..., None, :] * _PROCESS
-    R = noise[1][..., None, :] * _MEASUREMENT
-    each = for_each(period)
-    mean, covariance = predict(plant, state.mean, state.covariance, Q, each.control)
-    z = carry_to_end(plant, state.mean[..., 2], each)
-    R_full = noise_matrix(plant, R, each)
-    available = each.available
-    seen = innovate(mean, covariance, z, R_full, available)
+    gained = np.minimum(np.maximum(likelihood[1:] - likelihood[0], -LARGEST_GAIN), LARGEST_GAIN)
+    led = lead + gained
+    led = np.maximum(led - np.maximum(led.max(axis=0) - LONGEST_LEAD, 0.0), 0.0)
+    # A filter that left the finite numbers is cleared, which starts it again.
+    return np.where(scored, np.where(np.isfinite(led), led, 0.0), lead)
 
-    likelihood = log_likelihood(seen)
-    gained = np.clip(likelihood[..., 1:] - likelihood[..., :1], -LARGEST_GAIN, LARGEST_GAIN)
-    lead = state.lead + gained
-    excess = np.max(lead, axis=-1, keepdims=True) - LONGEST_LEAD
-    lead = np.maximum(lead - np.maximum(excess, 0.0), 0.0)
+
+def correct_robustly(
+    predicted: Bank, seen: Innovations, noise: Noise, readings: Readings, nis: FloatArray
+) -> Bank:
+    """Return the suspects' filters after readings, which move none of them too far.
+
+    Args:
+        predicted: before the readings.
+        seen: what these say.
+        noise: that the filters are run with.
+        readings: themselves.
+        nis: `(2, 4, *batch)` of each sensor against each filter.
+    """
+    rows = rows_by_sensor(readings.available)[:, None]
+    wild = np.sqrt(nis / (LARGEST_NIS * np.maximum(rows, 1.0)))
+    widened = noise.measurement * np.maximum(wild, 1.0)[SENSOR_OF_ROW]
+    R = noise._replace(measurement=widened)
+    innovations = Innovations(seen.innovation, seen.variance + (widened - noise.measurement))
+    return correct(predicted, innovations, R, readings.available).bank
+
+
+def restarted(suspects: Bank, published: Bank, lead: FloatArray) -> Bank:
+    """Return the filters with those that are cleared started again.
+
+    Args:
+        suspects: `(4, *batch)` filters.
+        published: `(1, *batch)` the published one.
+        lead: `(3, *batch)` of the suspects; 0: cleared.
+    """
     cleared = lead <= 0.0
-    none = np.all(cleared, axis=-1)
-    if np.all(none):  # as most of the time: all filters would start again from the published one
-        return no_suspects(*published)
-
-    if np.any(seen.nis > LARGEST_NIS):  # no sensor's is larger than all rows' together
-        nis, rows = nis_by_sensor(seen, available)
-        wild = np.sqrt(nis / (LARGEST_NIS * np.maximum(rows, 1.0)))
-        widened = np.sqrt(np.maximum(wild, 1.0))[..., SENSOR_OF_ROW]
-        R_full = R_full * widened[..., :, None] * widened[..., None, :]
-        seen = innovate(mean, covariance, z, R_full, available)
-    mean, covariance = update(mean, covariance, R_full, available, seen)
-
-    nobody = np.where(none[..., None], published[0], mean[..., 0, :])
-    nobody_P = np.where(none[..., None, None], published[1], covariance[..., 0, :, :])
-    restart = np.concatenate([np.ones_like(cleared[..., :1]), cleared], axis=-1)
-    return SuspectState(
-        lead,
-        np.where(restart[..., None], nobody[..., None, :], mean),
-        np.where(restart[..., None, None], nobody_P[..., None, :, :], covariance),
+    none = np.all(cleared, axis=0)
+    nobody = Bank(
+        np.where(none, published.mean, suspects.mean[:, :1]),
+        np.where(none, published.covariance, suspects.covariance[:, :, :1]),
+    )
+    restart = np.concatenate([np.ones_like(cleared[:1]), cleared])
+    return Bank(
+        np.where(restart, nobody.mean, suspects.mean),
+        np.where(restart, nobody.covariance, suspects.covariance),
     )

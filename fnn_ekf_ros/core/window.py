@@ -11,8 +11,8 @@ class InnovationWindow(NamedTuple):
     """Squares of the last innovations, for each row its own last N.
 
     Attributes:
-        squares: `(..., N, 4)` squared innovations (m^2, m^2, rad^2, rad^2), newest last.
-        counts: `(..., 4)` how many of them are filled.
+        squares: `(N, 4, *batch)` squared innovations (m^2, m^2, rad^2, rad^2), newest last.
+        counts: `(4, *batch)` how many of them are filled.
     """
 
     squares: FloatArray
@@ -22,7 +22,7 @@ class InnovationWindow(NamedTuple):
 def empty_window(length: int, batch: tuple[int, ...] = ()) -> InnovationWindow:
     """Return a window for the last `length` innovations with nothing in it."""
     return InnovationWindow(
-        np.zeros((*batch, length, MEASUREMENT_SIZE)), np.zeros((*batch, MEASUREMENT_SIZE))
+        np.zeros((length, MEASUREMENT_SIZE, *batch)), np.zeros((MEASUREMENT_SIZE, *batch))
     )
 
 
@@ -33,20 +33,18 @@ def push(
 
     Args:
         window: the window so far; not changed.
-        innovation: `(..., 4)` r (m, m, rad, rad).
-        available: `(..., 4)` which rows were measured; the others keep what they have.
+        innovation: `(4, *batch)` r (m, m, rad, rad).
+        available: `(4, *batch)` which rows were measured; the others keep what they have.
     """
-    length = window.squares.shape[-2]
-    shifted = np.concatenate(
-        [window.squares[..., 1:, :], (innovation * innovation)[..., None, :]], axis=-2
-    )
+    length = len(window.squares)
+    shifted = np.concatenate([window.squares[1:], (innovation * innovation)[None]])
     return InnovationWindow(
-        np.where(available[..., None, :], shifted, window.squares),
+        np.where(available, shifted, window.squares),
         np.minimum(window.counts + available, float(length)),
     )
 
 
 def mean_square(window: InnovationWindow) -> FloatArray:
-    """Return the diagonal of C_hat, `(..., 4)` (m^2, m^2, rad^2, rad^2); 0 for an empty row."""
-    total: FloatArray = np.sum(window.squares, axis=-2)
+    """Return the diagonal of C_hat, `(4, *batch)` (m^2, m^2, rad^2, rad^2); 0 for an empty row."""
+    total: FloatArray = window.squares.sum(axis=0)
     return total / np.maximum(window.counts, 1.0)

@@ -79,6 +79,9 @@ NOISE_FIELDS = (
 )
 """What each number of `~/noise` is; variances in m^2 and rad^2.
 
+NIS and degrees of freedom are summed over the readings of the period; what is told by row is told
+of its last reading.
+
 The firing strengths by row are R's; in mode `joint` those of the four log scales, in their order;
 in mode `q`, which has none of R, Q's in the rows of x and compass yaw. Log scales and weights are
 0 in the other modes than `joint`. What is true or false is 1 or 0.

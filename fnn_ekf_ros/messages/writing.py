@@ -178,12 +178,12 @@ def noise(estimate: Estimate) -> Message:
             *result.innovation,
             *result.innovation_variance,
             *result.mismatch,
-            *np.ravel(result.firing_strength),
+            *np.ravel(result.firing_strength.T),
         ]
         belief = result.joint
         data += [0.0] * _BELIEFS if belief is None else [*belief.log_scale, *belief.weights]
         data += [*result.sensor_nis, *result.rejected, result.relocated]
-        data += [*np.ravel(result.process_firing_strength)]
+        data += [*np.ravel(result.process_firing_strength.T)]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
     return Message(NOISE_TYPE, {"layout": _NOISE_LAYOUT, "data": np.array(list(map(float, data)))})
 
@@ -192,8 +192,8 @@ def numbers(estimate: Estimate) -> dict[str, Message]:
     """Return what is published beside `~/noise` to be plotted by name, by private topic.
 
     The standard deviations are square roots of the adapted R and of Q for 375 ms (m, rad). A NIS
-    is divided by the degrees of freedom of its sensor; one that measured nothing in the period has
-    none.
+    is summed over the period's readings of its sensor and divided by their degrees of freedom; a
+    sensor that measured nothing has none.
     """
     state, result = estimate.state, estimate.result
     variances = dict(

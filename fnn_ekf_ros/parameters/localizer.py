@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, InferenceKind
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.limits import LARGEST_POSITION, LARGEST_STD, SMALLEST_STD
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD, YAW_STD
 from fnn_ekf_ros.parameters.schema import NO_FILE, ParameterError, Parameters, parameter, refusal
 
@@ -14,7 +14,7 @@ NODE_NAME = "localizer"
 MOST_PERIODS_KEPT = 500
 """So many states are kept at the most, to go back to; running them again takes half a second."""
 GATE = 1e-6
-"""One right measurement in a million is rejected: about five standard deviations."""
+"""One correct measurement in a million is rejected: about five standard deviations."""
 NO_FRAME = "none"
 """The word for a frame that is not there."""
 SAME_FILE = "same"
@@ -83,7 +83,8 @@ class LocalizerParameters(Parameters):
     # Time
     period: float = parameter(
         NOMINAL_PERIOD_S,
-        "Time between two odom messages; boundaries are its multiples.",
+        "Time between two odom messages, which are stamped with its multiples; every reading is "
+        "fused at its own time, whatever the period.",
         "s",
         at_least=0.01,
         at_most=10.0,
@@ -97,7 +98,7 @@ class LocalizerParameters(Parameters):
     )
     history: float = parameter(
         2.0,
-        "How far back a late measurement is still fused at the time it was taken.",
+        "How late a measurement may come and still be fused at the time it was taken.",
         "s",
         at_least=0.0,
         at_most=10.0,
@@ -113,12 +114,12 @@ class LocalizerParameters(Parameters):
     # Filter
     motion_model: str = parameter(
         "exact_arc",
-        "Motion of one period: exact_arc, or paper (eq. 4) to reproduce the paper.",
+        "Motion from one reading to the next: exact_arc, or paper (eq. 4) to reproduce the paper.",
         choices=tuple(MotionModel),
     )
     process_noise_std: tuple[float, float] = parameter(
         SIMULATION_2_STD,
-        "Wheel noise of one 375 ms period: way, turn (sqrt of Q).",
+        "Wheel noise of 375 ms, whatever the period: distance, rotation (sqrt of Q).",
         "[m, rad]",
         at_least=SMALLEST_STD,
         at_most=LARGEST_STD,
@@ -148,14 +149,14 @@ class LocalizerParameters(Parameters):
     # Outliers
     compass_gate: float = parameter(
         GATE,
-        "Chance that a right compass reading is taken for an outlier; 0: none ever is.",
+        "Chance that a correct compass reading is taken for an outlier; 0: none ever is.",
         "",
         at_least=0.0,
         at_most=0.5,
     )
     lrf_pose_gate: float = parameter(
         GATE,
-        "Chance that a right fix is taken for an outlier; 0: none ever is.",
+        "Chance that a correct fix is taken for an outlier; 0: none ever is.",
         "",
         at_least=0.0,
         at_most=0.5,
@@ -171,7 +172,8 @@ class LocalizerParameters(Parameters):
     )
     innovation_window: int = parameter(
         45,
-        "Number of innovations the network compares with the filter's expectation, N.",
+        "Number of innovations, one a period, that modes r, q and rq compare with the filter's "
+        "expectation, N.",
         "",
         at_least=2,
         at_most=1000,

@@ -113,7 +113,7 @@ def blame(watch: Watch, wheel_separation: float) -> Blame:
         watch: what is remembered of the last periods.
         wheel_separation: distance between the wheels [m].
     """
-    leads = tuple(float(lead) for lead in watch.suspects.lead)
+    leads = watch.leads[-1].leads
     by_lead = sorted(zip(leads, map(Sensor, SUSPECTS), strict=True), reverse=True)
     first = by_lead[0]
     if first[0] >= SUSPECTED_LEAD:

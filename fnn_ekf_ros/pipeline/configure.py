@@ -9,10 +9,10 @@ from fnn_ekf_ros.core.adaptation import (
     Networks,
 )
 from fnn_ekf_ros.core.bounds import NoiseBounds
-from fnn_ekf_ros.core.filter import FilterModel
 from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.odometry import WheelGeometry
+from fnn_ekf_ros.core.state import FilterModel
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 
 
@@ -43,18 +43,21 @@ def filter_model(parameters: LocalizerParameters, networks: Networks) -> FilterM
             kind=InferenceKind(p.inference),
             networks=networks,
             window_length=p.innovation_window,
-            bounds=NoiseBounds(
-                process_min=_process(p.process_noise_std_min),
-                process_max=_process(p.process_noise_std_max),
-                measurement_min=_measurement(
-                    p.measurement_noise_std_min, p.measurement_noise_std_min[2]
-                ),
-                measurement_max=_measurement(
-                    p.measurement_noise_std_max, p.measurement_noise_std_max[2]
-                ),
-            ),
+            bounds=noise_bounds(p),
         ),
         gate=gate_for(p.compass_gate, p.lrf_pose_gate),
+    )
+
+
+def noise_bounds(parameters: LocalizerParameters) -> NoiseBounds:
+    """Return what no adaptation can leave."""
+    p = parameters
+    low, high = p.measurement_noise_std_min, p.measurement_noise_std_max
+    return NoiseBounds(
+        process_min=_process(p.process_noise_std_min),
+        process_max=_process(p.process_noise_std_max),
+        measurement_min=_measurement(low, low[2]),
+        measurement_max=_measurement(high, high[2]),
     )
 
 

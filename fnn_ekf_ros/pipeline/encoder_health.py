@@ -1,6 +1,6 @@
 """What the localizer says about the encoders: silent, stuck and jumping wheels, named."""
 
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
 from fnn_ekf_ros.pipeline.events import STALE_NS, Estimate, Level, Status, Wheel, WheelCount

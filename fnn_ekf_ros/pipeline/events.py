@@ -4,7 +4,8 @@ from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import FilterState, StepResult
+from fnn_ekf_ros.core.results import StepResult
+from fnn_ekf_ros.core.state import FilterState
 
 STALE_NS = 3 * 10**9
 """What should speak, or change, and has not for longer is worth a word [ns]: a sensor, the other

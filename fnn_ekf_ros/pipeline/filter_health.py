@@ -6,12 +6,13 @@ import numpy as np
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import FilterState
 from fnn_ekf_ros.core.joint import calm_noise
+from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.belief import Values, belief_in_words
 from fnn_ekf_ros.pipeline.blame import Blame
+from fnn_ekf_ros.pipeline.configure import noise_bounds
 from fnn_ekf_ros.pipeline.events import Estimate, Level, Move, Sensor, Status
 from fnn_ekf_ros.pipeline.measuring_health import OTHERS
 from fnn_ekf_ros.pipeline.start import Waiting
@@ -160,7 +161,7 @@ def _at_bounds(
     p = parameters
     Q, R = state.process_noise, state.measurement_noise
     if state.joint is not None:
-        Q, R = calm_noise(state.joint)
+        Q, R = calm_noise(state.joint, noise_bounds(p))
     noises: list[tuple[str, str, FloatArray, tuple[float, ...], tuple[float, ...]]] = []
     if mode.adapts_process_noise:
         low, high = p.process_noise_std_min, p.process_noise_std_max

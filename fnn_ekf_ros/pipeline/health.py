@@ -7,13 +7,14 @@ the constants here and in the modules of the parts.
 from collections import Counter
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode
-from fnn_ekf_ros.core.filter import FilterState
 from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE
+from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.belief import Values
 from fnn_ekf_ros.pipeline.blame import NOBODY, Blame, blame, symptoms_of
 from fnn_ekf_ros.pipeline.configure import wheel_geometry
 from fnn_ekf_ros.pipeline.encoder_health import EncoderHealth
+from fnn_ekf_ros.pipeline.epochs import MOST_READINGS_A_SECOND
 from fnn_ekf_ros.pipeline.events import (
     STALE_NS,
     CompassYaw,
@@ -69,6 +70,8 @@ class Health:
         self._heard = {sensor: _Heard() for sensor in Sensor}
         self._stood_ns = 0
         self._refused: Counter[Sensor] = Counter()
+        self._left_out: Counter[Sensor] = Counter()
+        self._newly_left_out: Counter[Sensor] = Counter()
         self._new_refusal: dict[Sensor, str] = {}
         self._encoders = EncoderHealth(parameters)
         self._time = TimeHealth()
@@ -166,6 +169,13 @@ class Health:
         if complete and estimate is not None and stands(estimate.twist * period_s, period_s):
             self._stood_ns += round(period_s * 1e9)
 
+    def left_out(self, readings: tuple[int, int]) -> None:
+        """Count readings of compass and fixes that were too many to be taken in a period."""
+        for sensor, count in zip((Sensor.COMPASS, Sensor.LRF_POSE), readings, strict=True):
+            if count:
+                self._left_out[sensor] += count
+                self._newly_left_out[sensor] += count
+
     def report(
         self,
         now_ns: int,
@@ -220,6 +230,7 @@ class Health:
             self._time.status(),
         )
         self._new_refusal.clear()
+        self._newly_left_out.clear()
         self._new_failure = ""
         return statuses
 
@@ -257,6 +268,8 @@ class Health:
             ("received", str(heard.count)),
             ("refused", str(self._refused[sensor])),
         )
+        if self._left_out[sensor]:
+            values += (("left out", str(self._left_out[sensor])),)
         if sensor in self._new_refusal:
             return Status(sensor, Level.WARN, f"refused: {self._new_refusal[sensor]}", values)
         if last_ns is None:
@@ -270,6 +283,10 @@ class Health:
             if age_ns - stood_ns > STALE_NS:
                 return Status(sensor, Level.WARN, silent, values)
             return Status(sensor, Level.OK, f"{silent}; the robot stands or stood", values)
+        if count := self._newly_left_out[sensor]:
+            most = f"more than {MOST_READINGS_A_SECOND:.0f} readings a second"
+            message = f"too fast: {most}, {count} left out; lower the sensor's rate"
+            return Status(sensor, Level.WARN, message, values)
         return Status(sensor, Level.OK, "received", values)
 
     def _missing(self, waiting: Waiting) -> str:

@@ -6,11 +6,12 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, FloatArray, Row
-from fnn_ekf_ros.core.filter import StepInput
+from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.odometry import control_from_counts
+from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.configure import measurement_noise, wheel_geometry
+from fnn_ekf_ros.pipeline.configure import wheel_geometry
+from fnn_ekf_ros.pipeline.epochs import Cutter, instants, thinned
 from fnn_ekf_ros.pipeline.events import (
     CompassYaw,
     Event,
@@ -35,24 +36,28 @@ class PeriodInputs(NamedTuple):
     """What the buffers hold for one period.
 
     Attributes:
-        step: for the filter.
+        epochs: for the filter; up to the pose that was set, if any was.
+        epochs_after_reset: those that follow it; none without one.
+        control: `(2,)` [dS, dtheta] of the whole period (m, rad).
         counts: of the wheels at the period's end; the next period begins with them.
         reset: the last pose that was set in the period, if any.
-        control_since_reset: `(2,)` [dS, dtheta] from then to the period's end (m, rad).
         wheels_known: whether both wheels had spoken by its begin.
         wheels_known_at_end: whether both had by its end.
+        left_out: how many readings of compass and fixes were too many to be taken.
     """
 
-    step: StepInput
+    epochs: tuple[Epoch, ...]
+    epochs_after_reset: tuple[Epoch, ...]
+    control: FloatArray
     counts: Counts
     reset: PoseReset | None
-    control_since_reset: FloatArray
     wheels_known: bool
     wheels_known_at_end: bool
+    left_out: tuple[int, int]
 
 
 class _Queue(Generic[EventT]):
-    """Events of one kind in the order of their stamps; of equal stamps the last one counts.
+    """Events of one kind in the order of their stamps.
 
     Args:
         content: what a measurement says, as numbers, which order those with equal stamps, so that
@@ -82,9 +87,9 @@ class _Queue(Generic[EventT]):
         self._events.insert(place, event)
         return Addition(event.stamp_ns, last < len(self._stamps) - 1)
 
-    def latest(self, after_ns: int, until_ns: int) -> EventT | None:
-        place = bisect_right(self._stamps, until_ns)
-        return self._events[place - 1] if place and self._stamps[place - 1] > after_ns else None
+    def between(self, after_ns: int, until_ns: int) -> list[EventT]:
+        first = bisect_right(self._stamps, after_ns)
+        return self._events[first : bisect_right(self._stamps, until_ns, first)]
 
     def forget_before(self, stamp_ns: int) -> None:
         first = bisect_left(self._stamps, stamp_ns)
@@ -101,7 +106,7 @@ class InputBuffer:
     def __init__(self, parameters: LocalizerParameters) -> None:
         self._parameters = parameters
         self._geometry = wheel_geometry(parameters)
-        self._measurement_noise = measurement_noise(parameters)
+        self._cutter = Cutter(parameters)
         ticks = parameters.encoder_source == "ticks"
         self._wheels = {
             wheel: WheelTrack(
@@ -210,36 +215,27 @@ class InputBuffer:
                 self._wheels[Wheel.RIGHT].at(stamp_ns) - right,
             )
 
-        measurement = np.zeros(MEASUREMENT_SIZE)
-        available = np.zeros(MEASUREMENT_SIZE, dtype=np.bool_)
-        whole = control(end_ns)
-        at = np.tile(whole, (MEASUREMENT_SIZE, 1))
-        covariance = None
-
-        compass = self._compass.latest(begin_ns, end_ns)
-        if compass is not None:
-            measurement[Row.COMPASS_YAW] = compass.yaw + self._parameters.compass_offset
-            available[Row.COMPASS_YAW] = True
-            at[Row.COMPASS_YAW] = control(compass.stamp_ns)
-        fix = self._fixes.latest(begin_ns, end_ns)
-        if fix is not None:
-            rows = [Row.X, Row.Y]
-            if self._parameters.lrf_use_yaw:
-                rows.append(Row.LRF_YAW)
-            measurement[rows] = fix.pose[: len(rows)]
-            available[rows] = True
-            at[rows] = control(fix.stamp_ns)
-            if self._parameters.lrf_use_message_covariance:
-                covariance = np.diag(self._measurement_noise)
-                covariance[np.ix_(rows, rows)] = fix.covariance[: len(rows), : len(rows)]
-        reset = self._resets.latest(begin_ns, end_ns)
+        compass = self._compass.between(begin_ns, end_ns)
+        fixes = self._fixes.between(begin_ns, end_ns)
+        period_s = self._parameters.period
+        taken = thinned(compass, period_s), thinned(fixes, period_s)
+        resets = self._resets.between(begin_ns, end_ns)
+        reset = resets[-1] if resets else None
+        until_ns = end_ns if reset is None else reset.stamp_ns
+        counts = [sum(each.stamp_ns <= until_ns for each in readings) for readings in taken]
+        before = instants(*(all_of[:n] for all_of, n in zip(taken, counts, strict=True)))
+        after = instants(*(all_of[n:] for all_of, n in zip(taken, counts, strict=True)))
+        taken_over = control(until_ns)
+        cut = self._cutter.epochs
         return PeriodInputs(
-            StepInput(whole, measurement, available, at, covariance),
-            self.counts_at(end_ns),
-            reset,
-            whole - control(reset.stamp_ns) if reset is not None else np.zeros(2),
-            self.wheels_known_at(begin_ns),
-            self.wheels_known_at(end_ns),
+            epochs=tuple(cut(begin_ns, until_ns, before, control, np.zeros(2))),
+            epochs_after_reset=tuple(cut(until_ns, end_ns, after, control, taken_over)),
+            control=control(end_ns),
+            counts=self.counts_at(end_ns),
+            reset=reset,
+            wheels_known=self.wheels_known_at(begin_ns),
+            wheels_known_at_end=self.wheels_known_at(end_ns),
+            left_out=(len(compass) - len(taken[0]), len(fixes) - len(taken[1])),
         )
 
     def forget_before(self, stamp_ns: int) -> None:

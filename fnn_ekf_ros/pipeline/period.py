@@ -1,19 +1,19 @@
-"""One period of the localizer: the filter's step, its start, and poses set from outside."""
+"""One period of the localizer: the filter's step, its start, and poses set from outside.
 
+A filter that starts within a period goes on with its later readings; a pose that is set counts from
+its stamp on, and the readings after it correct it.
+"""
+
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import (
-    FilterModel,
-    FilterState,
-    StepResult,
-    reset_pose,
-    start_filter,
-    step,
-)
-from fnn_ekf_ros.core.motion import move
+from fnn_ekf_ros.core.arrays import Constant, FloatArray
+from fnn_ekf_ros.core.filter import step
+from fnn_ekf_ros.core.results import Epoch, StepResult
+from fnn_ekf_ros.core.state import FilterModel, FilterState, reset_pose, start_filter
+from fnn_ekf_ros.pipeline.events import PoseReset
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
 from fnn_ekf_ros.pipeline.start import Waiting, wait
 
@@ -40,24 +40,39 @@ class Period(NamedTuple):
 def run_period(
     model: FilterModel, before: FilterState | Waiting, inputs: PeriodInputs
 ) -> tuple[FilterState | Waiting, StepResult | None]:
-    """Take the localizer over one period; a filter that runs may be a batch.
+    """Take the localizer over one period.
 
     Args:
         model: the filter.
         before: the state at the period's begin; not changed.
-        inputs: of the period.
+        inputs: of the period; a batch of filters needs them for each of its robots.
 
     Returns:
-        The state at the period's end; what the period showed, None if no filter ran.
+        The state at the period's end; what the period showed, None if no filter ran from its begin.
     """
-    before = state_at_begin(model, before, inputs)
-    after: FilterState | Waiting = before
+    after = state_at_begin(model, before, inputs)
     result: StepResult | None = None
-    if not isinstance(before, Waiting):
-        after, result = step(model, before, inputs.step)
-    elif inputs.wheels_known:
-        after = wait(model, before, inputs.step)
-    return _set_pose(model, after, inputs), result
+    if isinstance(after, Waiting):
+        epochs = inputs.epochs if inputs.wheels_known else ()
+        after = _wait(model, after, epochs)
+    else:
+        after, result = step(model, after, inputs.epochs)
+    if inputs.reset is not None:
+        after = _set_pose(model, after, inputs.reset)
+        if inputs.epochs_after_reset:
+            after, _ = step(model, after, inputs.epochs_after_reset)
+    return after, result
+
+
+def _wait(model: FilterModel, waiting: Waiting, epochs: Sequence[Epoch]) -> FilterState | Waiting:
+    """Return the filter that starts in one of the epochs and runs on, or what waits on."""
+    for place, epoch in enumerate(epochs):
+        state = wait(model, waiting, epoch)
+        if isinstance(state, FilterState):
+            rest = epochs[place + 1 :]
+            return step(model, state, rest)[0] if rest else state
+        waiting = state
+    return waiting
 
 
 def state_at_begin(
@@ -78,10 +93,15 @@ def start_at(
 
 def without_measurements(inputs: PeriodInputs) -> PeriodInputs:
     """Return the same period as if only the wheels had spoken in it."""
-    blind = inputs.step._replace(
-        available=np.zeros_like(inputs.step.available), measurement_covariance=None
+    return inputs._replace(
+        epochs=tuple(map(blind, inputs.epochs)),
+        epochs_after_reset=tuple(map(blind, inputs.epochs_after_reset)),
     )
-    return inputs._replace(step=blind)
+
+
+def blind(epoch: Epoch) -> Epoch:
+    """Return the same time as if nothing had been measured at its end."""
+    return epoch._replace(available=np.zeros_like(epoch.available), fix_covariance=None)
 
 
 def check_finite(state: FilterState) -> None:
@@ -94,22 +114,21 @@ def check_finite(state: FilterState) -> None:
         raise ArithmeticError("the pose is not finite")
     if not np.all(np.isfinite([*state.process_noise, *state.measurement_noise])):
         raise ArithmeticError("the noise is not finite")
+    if not (np.isfinite(state.bank.mean).all() and np.isfinite(state.bank.covariance).all()):
+        raise ArithmeticError("a filter beside the published one is not finite")
     if not np.linalg.eigvalsh(state.covariance)[0] > 0.0:
         raise ArithmeticError("the covariance is not positive definite")
 
 
-def _set_pose(
-    model: FilterModel, state: FilterState | Waiting, inputs: PeriodInputs
-) -> FilterState | Waiting:
-    """Return the state after a pose that was set from outside, if one was."""
-    if inputs.reset is None:
-        return state
-    mean = move(model.motion_model, inputs.reset.pose, inputs.control_since_reset).mean
-    covariance = inputs.reset.covariance
+def _set_pose(model: FilterModel, state: FilterState | Waiting, reset: PoseReset) -> FilterState:
+    """Return the filter at a pose that was set from outside."""
     if isinstance(state, Waiting):
-        return start_at(model, state, mean, covariance)
+        return start_at(model, state, reset.pose, reset.covariance)
+    batch = state.mean.shape[1:]
+    mean, covariance = Constant(reset.pose), Constant(reset.covariance)
     return reset_pose(
+        model,
         state,
-        np.broadcast_to(mean, state.mean.shape),
-        np.broadcast_to(covariance, state.covariance.shape),
+        np.broadcast_to(mean.behind(len(batch)), (3, *batch)),
+        np.broadcast_to(covariance.behind(len(batch)), (3, 3, *batch)),
     )

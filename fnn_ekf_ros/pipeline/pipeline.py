@@ -6,6 +6,9 @@ after that changes later periods only: the filter goes back to the state before 
 values, so they were simply kept), and the closed periods are run again with what is known now,
 without being published again.
 
+A period is cut into epochs (`epochs`) at the instants of its readings, so that each corrects the
+filter at its own time: `period` says when something is published, not what is fused.
+
 So what is published depends on the stamps, and not on when a message arrives, as long as it does
 before its period is closed.
 """
@@ -19,13 +22,8 @@ import numpy as np
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, Networks
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import (
-    NOMINAL_PERIOD_S,
-    FilterModel,
-    FilterState,
-    for_mode,
-    lasting_noise,
-)
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.state import FilterModel, FilterState, for_mode, lasting_noise
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.events import (
@@ -74,6 +72,8 @@ class _Checkpoint(NamedTuple):
     """The model the period was run with, for when it is run again."""
     watch: Watch | None = None
     """What the last periods showed of the sensors; None before the filter runs."""
+    left_out: tuple[int, int] = (0, 0)
+    """How many readings of compass and fixes were too many to be taken."""
 
 
 class Pipeline:
@@ -96,7 +96,7 @@ class Pipeline:
     ) -> None:
         self.parameters = parameters
         self._on_period = on_period
-        self._model = filter_model(parameters, networks)
+        self._model = _model(parameters, networks)
         self._health = Health(parameters)
         self._period_ns = round(parameters.period * 1e9)
         self._timeout_ns = round(parameters.encoder_timeout * 1e9)
@@ -206,7 +206,7 @@ class Pipeline:
         """
         learning = self._model.adaptation.learning
         self.parameters = parameters
-        self._model = filter_model(parameters, networks)
+        self._model = _model(parameters, networks)
         self.enable_adaptation(learning)
         self._health.changed(parameters)
 
@@ -227,8 +227,9 @@ class Pipeline:
         if not self._checkpoints:
             return self._start_noise
         last = self._checkpoints[-1].state
-        joint = last.joint if isinstance(last, FilterState) else None
-        return lasting_noise(self._model, last.process_noise, last.measurement_noise, joint)
+        if isinstance(last, FilterState):
+            return lasting_noise(self._model, last)
+        return self._model.adaptation.bounds.within(last.process_noise, last.measurement_noise)
 
     def _state(self) -> FilterState | Waiting:
         return self._checkpoints[-1].state if self._checkpoints else Waiting(*self._start_noise)
@@ -286,7 +287,8 @@ class Pipeline:
             known = self._watch()
             estimate = self._run_open_periods(end_ns)
             moved = _new_move(known, self._watch())
-            self._health.closed(end_ns, complete, self._checkpoints[-1].counts, estimate)
+            last = self._checkpoints[-1]
+            self._health.closed(end_ns, complete, last.counts, estimate)
             outputs.append(Output(end_ns, estimate, self._report(end_ns, estimate), moved))
             self._forget()
         return outputs
@@ -316,8 +318,22 @@ class Pipeline:
             lost = _Checkpoint(end_ns, Waiting(*self._noise()), counts, self._model)
             kept, estimate = deque([lost]), None
         self._checkpoints = kept
+        self._count_left_out(redo)
         self._health.redone(len(redo))
         return estimate
+
+    def _count_left_out(self, redo: list[_Checkpoint]) -> None:
+        """Count what was left out of the newest period, and now of those that were run again."""
+        told = {before.stamp_ns: before.left_out for before in redo}
+        newest_ns = self._checkpoints[-1].stamp_ns
+        for checkpoint in self._checkpoints:
+            if checkpoint.stamp_ns in told or checkpoint.stamp_ns == newest_ns:
+                before = told.get(checkpoint.stamp_ns, (0, 0))
+                compass, fixes = (
+                    max(now - then, 0)
+                    for now, then in zip(checkpoint.left_out, before, strict=True)
+                )
+                self._health.left_out((compass, fixes))
 
     def _run_or_predict(
         self, before: _Checkpoint, end_ns: int, model: FilterModel
@@ -349,14 +365,14 @@ class Pipeline:
         if self._on_period is not None:
             self._on_period(Period(end_ns, inputs, before.state, state))
         watch = watch_after(model, before.watch, begin, state, inputs, result, end_ns)
-        checkpoint = _Checkpoint(end_ns, state, inputs.counts, model, watch)
+        checkpoint = _Checkpoint(end_ns, state, inputs.counts, model, watch, inputs.left_out)
         if isinstance(state, Waiting):
             return checkpoint, None
         T = self.parameters.period
         return checkpoint, Estimate(
             stamp_ns=end_ns,
             state=state,
-            twist=inputs.step.control / T,
+            twist=inputs.control / T,
             twist_variance=state.process_noise * (T / NOMINAL_PERIOD_S) / T**2,
             result=result,
         )
@@ -372,6 +388,11 @@ class Pipeline:
         while len(self._checkpoints) > 1 and self._checkpoints[1].stamp_ns <= oldest_needed_ns:
             self._checkpoints.popleft()
         self._inputs.forget_before(self._checkpoints[0].stamp_ns)
+
+
+def _model(parameters: LocalizerParameters, networks: Networks) -> FilterModel:
+    """Return the filter's model; it follows who does not fit the others."""
+    return dataclasses.replace(filter_model(parameters, networks), suspects=True)
 
 
 def _new_move(before: Watch | None, after: Watch | None) -> Move | None:

@@ -11,14 +11,11 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.filter import (
-    NOMINAL_PERIOD_S,
-    FilterModel,
-    FilterState,
-    StepInput,
-    start_filter,
-)
+from fnn_ekf_ros.core.bank import FIX_ROWS
 from fnn_ekf_ros.core.motion import move
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 
 
 class Waiting(NamedTuple):
@@ -47,39 +44,41 @@ class Waiting(NamedTuple):
     given_covariance: FloatArray = np.zeros((3, 3))
 
 
-def wait(model: FilterModel, waiting: Waiting, period: StepInput) -> Waiting | FilterState:
-    """Take one period in; returns the started filter as soon as x, y and yaw are known.
+def wait(model: FilterModel, waiting: Waiting, epoch: Epoch) -> Waiting | FilterState:
+    """Take one epoch in; returns the started filter as soon as x, y and yaw are known.
 
-    The start's covariance is R, plus Q for each period that a measurement had to be carried.
+    The start's covariance is R, plus Q for the time over which a measurement had to be carried.
+
+    Args:
+        model: the filter.
+        waiting: before the epoch.
+        epoch: the time until the next readings, and these.
     """
-    noise = period.measurement_covariance
-    R = np.diag(waiting.measurement_noise) if noise is None else noise
-    at = period.control_at_measurement
-    rest = np.zeros((Row.LRF_YAW + 1, 2)) if at is None else period.control - at
-    forward, turn = np.asarray(waiting.process_noise) * model.period_s / NOMINAL_PERIOD_S
-
-    if period.available[Row.X] and period.available[Row.Y]:
+    R, reported = np.diag(waiting.measurement_noise), epoch.fix_covariance
+    if reported is not None:
+        R[np.ix_(FIX_ROWS, FIX_ROWS)] = reported
+    forward, turn = np.asarray(waiting.process_noise) * (epoch.duration_s / NOMINAL_PERIOD_S)
+    if waiting.position is not None:
         waiting = waiting._replace(
-            position=period.measurement[[Row.X, Row.Y]],
-            position_variance=R[:2, :2],
-            since_fix=move(model.motion_model, np.zeros(3), rest[Row.X]).mean,
-        )
-    elif waiting.position is not None:
-        waiting = waiting._replace(
-            since_fix=move(model.motion_model, waiting.since_fix, period.control).mean,
+            since_fix=move(model.motion_model, waiting.since_fix, epoch.control).mean,
             position_variance=waiting.position_variance + forward * np.eye(2),
         )
-
-    yaw_rows = [row for row in (Row.COMPASS_YAW, Row.LRF_YAW) if period.available[row]]
+    if waiting.yaw is not None:
+        waiting = waiting._replace(
+            yaw=waiting.yaw + float(epoch.control[1]),
+            yaw_variance=waiting.yaw_variance + float(turn),
+        )
+    if epoch.available[Row.X] and epoch.available[Row.Y]:
+        waiting = waiting._replace(
+            position=epoch.measurement[[Row.X, Row.Y]],
+            position_variance=R[:2, :2],
+            since_fix=np.zeros(3),
+        )
+    yaw_rows = [row for row in (Row.COMPASS_YAW, Row.LRF_YAW) if epoch.available[row]]
     if yaw_rows:
         row = yaw_rows[0]
         waiting = waiting._replace(
-            yaw=float(period.measurement[row] + rest[row, 1]), yaw_variance=float(R[row, row])
-        )
-    elif waiting.yaw is not None:
-        waiting = waiting._replace(
-            yaw=waiting.yaw + float(period.control[1]),
-            yaw_variance=waiting.yaw_variance + float(turn),
+            yaw=float(epoch.measurement[row]), yaw_variance=float(R[row, row])
         )
 
     if waiting.position is None or waiting.yaw is None:

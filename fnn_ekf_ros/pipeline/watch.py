@@ -1,7 +1,7 @@
-"""What is remembered of the last periods to judge the sensors by; it never touches the estimate.
+"""What is remembered of the last readings and periods to judge the sensors by.
 
-A `Watch` is a value like the filter's state and is kept beside it, so that a period that is run
-again for late measurements is not counted twice.
+It never touches the estimate. A `Watch` is a value like the filter's state and is kept beside it,
+so that a period that is run again for late measurements is not counted twice.
 """
 
 from typing import NamedTuple
@@ -10,30 +10,27 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.filter import (
-    NOMINAL_PERIOD_S,
-    FilterModel,
-    FilterState,
-    StepInput,
-    StepResult,
-    lasting_noise,
-)
 from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, rows_of
 from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.motion import move
-from fnn_ekf_ros.core.suspects import SUSPECTS, SuspectState, no_suspects, suspect
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.results import Shown, StepResult
+from fnn_ekf_ros.core.state import FilterModel, FilterState, lasting_noise
+from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.pipeline.events import Move
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
-from fnn_ekf_ros.pipeline.period import FAILURES
 from fnn_ekf_ros.pipeline.start import Waiting
 from fnn_ekf_ros.pipeline.wheel_sizes import Step, recent
 
 READINGS = 20
-"""So many readings of a sensor are looked back at."""
+"""So many readings of a sensor are looked back at, of a fast one not each."""
 LASTING = 10
 """And at as many that end so many readings earlier: what lasts is in both."""
+APART_NS = round(0.75 * NOMINAL_PERIOD_S * 1e9)
+"""So long at least lies between them [ns]: each reading of a sensor that speaks once a period is
+looked at, whatever its jitter, and of a faster one's, whose errors last, some."""
 LEAD_LASTS_NS = 1_500_000_000
-"""So long a suspect's lead has to last [ns]: fixes and compass may need some periods to tell a
+"""So long a suspect's lead has to last [ns]: fixes and compass may need some readings to tell a
 wheel that slips from a wild reading."""
 
 
@@ -44,11 +41,13 @@ class Readings(NamedTuple):
         nis: of the last `READINGS` + `LASTING` that were accepted.
         rows: how many rows each of these measured.
         rejected: of the last `READINGS` of all, whether the gate rejected them.
+        last_ns: when the newest one was read [ns].
     """
 
     nis: tuple[float, ...] = ()
     rows: tuple[int, ...] = ()
     rejected: tuple[bool, ...] = ()
+    last_ns: int = -(2**63)
 
 
 class Leads(NamedTuple):
@@ -67,20 +66,19 @@ class Watch(NamedTuple):
     """What is remembered.
 
     Attributes:
-        suspects: who does not fit the other two.
         readings: of the compass and of the fixes, in the order of `core.gate`.
-        fix_ns: when a fix was accepted last, or the filter started, later by the time that the
-            robot has stood since [ns].
+        fix_ns: end of the period in which a fix was accepted last, or the filter started, later by
+            the time that the robot has stood since [ns].
         yaw_ns: likewise of a yaw [ns].
         moved: the last time that the gate moved the pose; None: it has not.
         moves: how often it has.
         agreeing: how many fixes in a row were rejected and agree with each other and the wheels.
-        measured_ns: when a position and when a yaw was really accepted last [ns].
+        measured_ns: ends of the periods in which a position and a yaw was really accepted last
+            [ns].
         leads: the suspects' leads of the last `LEAD_LASTS_NS`, the newest last.
         steps: the last periods, to judge the wheels' sizes by, the newest last.
     """
 
-    suspects: SuspectState
     readings: tuple[Readings, Readings]
     fix_ns: int
     yaw_ns: int
@@ -92,21 +90,15 @@ class Watch(NamedTuple):
     steps: tuple[Step, ...] = ()
 
 
-def begin_watch(state: FilterState, end_ns: int) -> Watch:
+def begin_watch(end_ns: int) -> Watch:
     """Return the watch over a filter that starts, or whose pose was set, at an instant [ns]."""
-    nobody = no_suspects(state.mean, state.covariance)
     return Watch(
-        nobody,
         (Readings(), Readings()),
         end_ns,
         end_ns,
-        leads=(_no_leads(end_ns),),
+        leads=(Leads(end_ns, (0.0,) * len(SUSPECTS)),),
         measured_ns=(end_ns, end_ns),
     )
-
-
-def _no_leads(end_ns: int) -> Leads:
-    return Leads(end_ns, (0.0,) * len(SUSPECTS))
 
 
 def stands(control: FloatArray, period_s: float) -> bool:
@@ -141,9 +133,9 @@ def watch_after(
     if isinstance(after, Waiting):
         return None
     if watch is None or isinstance(before, Waiting) or result is None or inputs.reset is not None:
-        begun = begin_watch(after, end_ns)
+        begun = begin_watch(end_ns)
         return begun if watch is None else begun._replace(moved=watch.moved, moves=watch.moves)
-    return _watch(model, watch, before, after, inputs.step, result, end_ns)
+    return _watch(model, watch, before, after, inputs, result, end_ns)
 
 
 def _watch(
@@ -151,43 +143,37 @@ def _watch(
     watch: Watch,
     before: FilterState,
     after: FilterState,
-    period: StepInput,
+    inputs: PeriodInputs,
     result: StepResult,
     end_ns: int,
 ) -> Watch:
     """Return the watch after a period of a filter that ran all the time."""
-    accepted = period.available & ~rows_of(result.rejected)
-    stood_ns = round(model.period_s * 1e9) if stands(period.control, model.period_s) else 0
-    readings = tuple(
-        _with_reading(watch.readings[sensor], result, sensor) for sensor in (COMPASS, LRF_POSE)
-    )
-    position, yaw = bool(accepted[Row.X]), bool(accepted[Row.COMPASS_YAW] or accepted[Row.LRF_YAW])
-    position |= bool(result.relocated)
+    accepted = [shown.available & ~rows_of(shown.rejected) for shown in result.shown]
+    stood_ns = round(model.period_s * 1e9) if stands(inputs.control, model.period_s) else 0
+    position = any(rows[Row.X] for rows in accepted) or bool(result.relocated)
+    yaw = any(rows[Row.COMPASS_YAW] or rows[Row.LRF_YAW] for rows in accepted)
     fix_ns, yaw_ns = watch.measured_ns
+    leads = Leads(end_ns, tuple(float(lead) for lead in after.lead))
     watch = watch._replace(
-        readings=(readings[COMPASS], readings[LRF_POSE]),
+        readings=_with_readings(watch.readings, inputs, result, end_ns),
         fix_ns=end_ns if position else watch.fix_ns + stood_ns,
         yaw_ns=end_ns if yaw else watch.yaw_ns + stood_ns,
         measured_ns=(end_ns if position else fix_ns, end_ns if yaw else yaw_ns),
     )
-    expected = move(model.motion_model, before.mean, period.control).mean
-    if result.relocated:
+    expected = move(model.motion_model, before.mean, inputs.control).mean
+    if result.relocated:  # another place explains it all
         way = float(np.hypot(*(after.mean - expected)[:2]))
         turn = float(wrap_angle(after.mean[2] - expected[2]))
         return watch._replace(
-            suspects=no_suspects(after.mean, after.covariance),  # another place explains it all
             moved=Move(end_ns, way, turn),
             moves=watch.moves + 1,
             agreeing=0,
-            leads=(_no_leads(end_ns),),
+            leads=(leads,),
             steps=(),
         )
-    suspects = _suspects(model, watch.suspects, before, after, period)
-    leads = Leads(end_ns, tuple(float(lead) for lead in suspects.lead))
     recently = tuple(old for old in watch.leads if end_ns - old.stamp_ns <= LEAD_LASTS_NS)
-    step = _step(model, before, after, period, expected, end_ns)
+    step = _step(model, before, after, inputs.control, expected, end_ns)
     return watch._replace(
-        suspects=suspects,
         agreeing=int(after.candidate.confirmations[LRF_POSE]) if after.candidate.active else 0,
         leads=(*recently, leads),
         steps=recent(watch.steps, step),
@@ -198,19 +184,18 @@ def _step(
     model: FilterModel,
     before: FilterState,
     after: FilterState,
-    period: StepInput,
+    control: FloatArray,
     expected: FloatArray,
     end_ns: int,
 ) -> Step:
     """Return by how much measurements moved the filter from where the wheels `expected` it."""
-    usual = lasting_noise(model, before.process_noise, before.measurement_noise, before.joint)
-    noise = usual[0] * model.plant.period_scale
+    noise = lasting_noise(model, before)[0] * (model.period_s / NOMINAL_PERIOD_S)
     heading = float(after.mean[2])
     ahead = np.array([np.cos(heading), np.sin(heading)])
     return Step(
         stamp_ns=end_ns,
-        way=float(period.control[0]),
-        turn=float(period.control[1]),
+        way=float(control[0]),
+        turn=float(control[1]),
         way_correction=float(ahead @ (after.mean - expected)[:2]),
         turn_correction=float(wrap_angle(after.mean[2] - expected[2])),
         way_noise=float(noise[0]),
@@ -220,33 +205,32 @@ def _step(
     )
 
 
-def _with_reading(readings: Readings, result: StepResult, sensor: int) -> Readings:
-    rows = int(result.sensor_degrees_of_freedom[sensor])
-    if not rows:
+def _with_readings(
+    readings: tuple[Readings, Readings], inputs: PeriodInputs, result: StepResult, end_ns: int
+) -> tuple[Readings, Readings]:
+    """Return the readings of both sensors with those of a period."""
+    left_s = sum(epoch.duration_s for epoch in inputs.epochs)
+    compass, fixes = readings[COMPASS], readings[LRF_POSE]
+    shown = iter(result.shown)
+    for epoch in inputs.epochs:
+        left_s -= epoch.duration_s
+        if epoch.available.any():
+            seen = next(shown)
+            stamp_ns = end_ns - round(left_s * 1e9)
+            compass = _with_reading(compass, seen, COMPASS, stamp_ns)
+            fixes = _with_reading(fixes, seen, LRF_POSE, stamp_ns)
+    return compass, fixes
+
+
+def _with_reading(readings: Readings, shown: Shown, sensor: int, stamp_ns: int) -> Readings:
+    rows = int(shown.sensor_degrees_of_freedom[sensor])
+    if not rows or stamp_ns - readings.last_ns < APART_NS:
         return readings
-    rejected = bool(result.rejected[sensor])
-    known = readings._replace(rejected=(*readings.rejected, rejected)[-READINGS:])
+    rejected = bool(shown.rejected[sensor])
+    known = readings._replace(rejected=(*readings.rejected, rejected)[-READINGS:], last_ns=stamp_ns)
     if rejected:
         return known
     return known._replace(
-        nis=(*readings.nis, float(result.sensor_nis[sensor]))[-READINGS - LASTING :],
+        nis=(*readings.nis, float(shown.sensor_nis[sensor]))[-READINGS - LASTING :],
         rows=(*readings.rows, rows)[-READINGS - LASTING :],
     )
-
-
-def _suspects(
-    model: FilterModel,
-    suspects: SuspectState,
-    before: FilterState,
-    after: FilterState,
-    period: StepInput,
-) -> SuspectState:
-    """Return the suspects after a period; none where their filters leave the finite numbers."""
-    noise = lasting_noise(model, before.process_noise, before.measurement_noise, before.joint)
-    published = after.mean, after.covariance
-    try:
-        found = suspect(model.plant, suspects, noise, period, published)
-    except FAILURES:
-        return no_suspects(*published)
-    finite = np.all(np.isfinite(found.lead)) and np.all(np.isfinite(found.mean))
-    return found if finite else no_suspects(*published)

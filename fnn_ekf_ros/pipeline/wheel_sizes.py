@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 
 LOOK_BACK_S = 18.0
 """So long is looked back [s]: a fault shows within the time in which it has to be named."""
@@ -41,7 +42,7 @@ LIKELY_PART = 1.0
 
 
 class Step(NamedTuple):
-    """A period: how far the wheels went, and by how much the filter was corrected.
+    """A period, or short ones together: how far the wheels went, by how much the filter was moved.
 
     Attributes:
         stamp_ns: its end [ns].
@@ -94,11 +95,28 @@ class Sizes(NamedTuple):
 
 
 def recent(steps: tuple[Step, ...], step: Step) -> tuple[Step, ...]:
-    """Return the steps with one more, without those that are no longer looked back at."""
+    """Return the steps with one more, without those that are no longer looked back at.
+
+    Periods shorter than the nominal one count together as one step.
+    """
+    if len(steps) > 1 and _seconds(steps[-2], step) <= NOMINAL_PERIOD_S:
+        steps, step = steps[:-1], _together(steps[-1], step)
     old = 0
     while old < len(steps) and _seconds(steps[old], step) >= LOOK_BACK_S:
         old += 1
     return (*steps[max(old - 1, 0) :], step)
+
+
+def _together(one: Step, other: Step) -> Step:
+    """Return two steps, one after the other, as one."""
+    return other._replace(
+        way=one.way + other.way,
+        turn=one.turn + other.turn,
+        way_correction=one.way_correction + other.way_correction,
+        turn_correction=one.turn_correction + other.turn_correction,
+        way_noise=one.way_noise + other.way_noise,
+        turn_noise=one.turn_noise + other.turn_noise,
+    )
 
 
 def seen_sizes(steps: tuple[Step, ...], wheel_separation: float) -> Sizes | None:

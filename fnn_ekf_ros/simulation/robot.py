@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.arrays import FloatArray, components_first, components_last
 from fnn_ekf_ros.core.motion import MotionModel, displacement
 from fnn_ekf_ros.core.odometry import WheelGeometry
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.simulation.paths import Path
 
@@ -108,7 +108,8 @@ def advance(
     control = np.stack([0.5 * (left + right), (right - left) / L], axis=-1) + np.where(
         moving, slip, 0.0
     )
-    pose = state.pose + displacement(MotionModel.EXACT_ARC, state.pose[..., 2], control)
+    moved = displacement(MotionModel.EXACT_ARC, state.pose[..., 2], components_first(control))
+    pose = state.pose + components_last(moved)
     pose[..., 2] = wrap_angle(pose[..., 2])
     return state._replace(pose=pose, travel=state.travel + way)
 

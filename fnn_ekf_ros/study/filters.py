@@ -1,19 +1,21 @@
 """The filters of the studies, by name; all see the same recordings and the same starts."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import STATE_SIZE
-from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
+from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, against
+from fnn_ekf_ros.core.filter import Epoch, step
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.state import FilterModel, start_filter, with_noise
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
 from fnn_ekf_ros.study.recording import Recording, Start, Track
 from fnn_ekf_ros.study.rivals import (
     innovation_based,
@@ -171,36 +173,34 @@ def run(
         start: `(..., n)` starts.
         knows_noise: whether it is told each step's true Q and R instead of the start's.
     """
-    steps = len(recording.control)
+    window = MEASUREMENT_SIZE * model.adaptation.window_length
+    numbers = NUMBERS_OF_A_FILTER * model.layout.steady.stop + window
+    return run_in_blocks(recording, start, partial(_filter, model, recording, knows_noise), numbers)
+
+
+def _filter(
+    model: FilterModel,
+    recording: Recording,
+    knows_noise: bool,
+    start: BlockStart,
+    epochs: Iterator[Epoch],
+) -> Iterator[Said]:
+    """Take some robots over all steps; the recording is there for its true noise."""
     state = start_filter(
         model, start.mean, start.covariance, start.process_noise, start.measurement_noise
     )
-    track = empty_track(steps, start)
-    for t in range(steps):
+    for Q, R, epoch in zip(
+        recording.process_noise, recording.measurement_noise, epochs, strict=True
+    ):
         if knows_noise:
-            state = state._replace(
-                process_noise=recording.process_noise[t],
-                measurement_noise=recording.measurement_noise[t],
+            state = with_noise(
+                model,
+                state,
+                np.broadcast_to(against(Q, start.process_noise), start.process_noise.shape),
+                np.broadcast_to(against(R, start.measurement_noise), start.measurement_noise.shape),
             )
-        state, result = step(
-            model,
-            state,
-            StepInput(recording.control[t], recording.measurement[t], recording.available[t]),
-        )
-        track.mean[t], track.covariance[t] = state.mean, state.covariance
-        track.nis[t], track.degrees_of_freedom[t] = result.nis, result.degrees_of_freedom
-    return track
-
-
-def empty_track(steps: int, start: Start) -> Track:
-    """Return a track of so many steps to be filled in."""
-    batch = (steps, *start.mean.shape[:-1])
-    return Track(
-        mean=np.empty((*batch, STATE_SIZE)),
-        covariance=np.empty((*batch, STATE_SIZE, STATE_SIZE)),
-        nis=np.empty(batch),
-        degrees_of_freedom=np.empty(batch),
-    )
+        state, result = step(model, state, (epoch,))
+        yield Said(state.mean, state.covariance, result.nis)
 
 
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:

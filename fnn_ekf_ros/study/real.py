@@ -1,10 +1,10 @@
 """Every start on a real recording: the localizer's own periods, all 25 starts as one batch.
 
-The localizer's pipeline orders what was recorded into periods, once: they do not depend on the
-noise. Where late inputs had it run periods again, the last version counts; so the filters see
-all that came within `history` in its place, and what they say is what a localizer would say
-that had all of it in time. Each start then goes through the pipeline's own `run_period`, from
-the waiting for the first pose on: P at the start is R of that start.
+The localizer's pipeline orders what was recorded into periods, cut into epochs at the readings,
+once: they do not depend on the noise. Where late inputs had it run periods again, the last version
+counts; so the filters see all that came within `history` in its place, and what they say is what a
+localizer would say that had all of it in time. Each start then goes through the pipeline's own
+`run_period`, from the waiting for the first pose on: P at the start is R of that start.
 
 A factor k of R is one of what the filter takes for R at the start, whoever says so: where the
 fixes bring covariances of their own, they count k times, too.
@@ -18,15 +18,17 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.filter import FilterModel, FilterState, start_filter
+from fnn_ekf_ros.core.arrays import FloatArray, Row, components_first, components_last
+from fnn_ekf_ros.core.filter import step
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.pipeline.inputs import PeriodInputs
 from fnn_ekf_ros.pipeline.period import Period, run_period, state_at_begin
 from fnn_ekf_ros.pipeline.pipeline import Pipeline
-from fnn_ekf_ros.pipeline.start import Waiting
+from fnn_ekf_ros.pipeline.start import Waiting, wait
 from fnn_ekf_ros.study.filters import SMALLEST_WINDOW
 from fnn_ekf_ros.study.recording import Start
 from fnn_ekf_ros.study.scores import LOST_FACTOR
@@ -63,13 +65,15 @@ class BatchStart(NamedTuple):
 
     Attributes:
         stamp_ns: of the first pose, ROS time [ns].
-        start: `(n,)` starts, one for each cell.
+        start: `(n,)` starts, one for each cell, at the instant at which the filters start.
+        rest: epochs from that instant to the first pose.
         inputs: of the periods that follow.
         stamps_ns: their ends [ns].
     """
 
     stamp_ns: int
     start: Start
+    rest: tuple[Epoch, ...]
     inputs: tuple[PeriodInputs, ...]
     stamps_ns: tuple[int, ...]
 
@@ -145,9 +149,10 @@ def batch_start(
     """
     networks = networks_for(parameters)
     taken, states, models = 0, [], []
+    rest: tuple[Epoch, ...] = ()
     for cell in cells:
         model = filter_model(with_noise_of(parameters, cell), networks)
-        taken, state = _first_state(model, cell, periods)
+        taken, state, rest = _first_state(model, cell, periods)
         states.append(state)
         models.append(model)
     period_ns = round(parameters.period * 1e9)
@@ -160,6 +165,7 @@ def batch_start(
             process_noise=np.array([model.process_noise for model in models]),
             measurement_noise=np.array([model.measurement_noise for model in models]),
         ),
+        rest=rest,
         inputs=tuple(period.inputs for period in following),
         stamps_ns=tuple(period.end_ns for period in following),
     )
@@ -172,24 +178,61 @@ def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
         model: the filter, with the noise that a factor of 1 stands for.
         batch: starts and periods.
     """
-    state: FilterState | Waiting = start_filter(model, *batch.start)
+    start = batch.start
+    begin = start_filter(
+        model,
+        components_first(start.mean),
+        components_first(start.covariance, 2),
+        components_first(start.process_noise),
+        components_first(start.measurement_noise),
+    )
+    cells = len(start.mean)
+    if batch.rest:
+        begin, _ = step(model, begin, [_of_all(epoch, cells) for epoch in batch.rest])
+    state: FilterState | Waiting = begin
     for inputs in (None, *batch.inputs):
         if inputs is not None:
-            state, _ = run_period(model, state, inputs)
+            state, _ = run_period(model, state, _for_cells(inputs, cells))
         if isinstance(state, FilterState):  # a filter that runs never waits again
             yield state
+
+
+def _for_cells(inputs: PeriodInputs, cells: int) -> PeriodInputs:
+    """Return the same inputs for so many filters."""
+    return inputs._replace(
+        epochs=tuple(_of_all(epoch, cells) for epoch in inputs.epochs),
+        epochs_after_reset=tuple(_of_all(epoch, cells) for epoch in inputs.epochs_after_reset),
+    )
+
+
+def _of_all(epoch: Epoch, cells: int) -> Epoch:
+    reported = epoch.fix_covariance
+    return Epoch(
+        np.broadcast_to(epoch.control[:, None], (len(epoch.control), cells)),
+        epoch.duration_s,
+        np.broadcast_to(epoch.measurement[:, None], (len(epoch.measurement), cells)),
+        np.broadcast_to(epoch.available[:, None], (len(epoch.available), cells)),
+        None
+        if reported is None
+        else np.broadcast_to(reported[..., None], (*reported.shape, cells)),
+    )
 
 
 def collect(states: Iterable[FilterState]) -> Run:
     """Return what a filter said, of its states; there is at least one."""
     means, covariances, last = [], [], None
     for state in states:
-        means.append(state.mean)
-        covariances.append(state.covariance)
+        means.append(components_last(state.mean))
+        covariances.append(components_last(state.covariance, 2))
         last = state
     if last is None:
         raise ValueError("no states: expected one at least")
-    return Run(np.stack(means), np.stack(covariances), last.process_noise, last.measurement_noise)
+    return Run(
+        np.stack(means),
+        np.stack(covariances),
+        components_last(last.process_noise),
+        components_last(last.measurement_noise),
+    )
 
 
 def score_starts(run: Run, truth: FloatArray) -> RealScore:
@@ -230,35 +273,54 @@ def diverged(score: RealScore, best_position: float) -> FloatArray:
 
 def rows_measured(batch: BatchStart) -> tuple[Row, ...]:
     """Return the rows that were measured at least once after the start."""
-    seen = np.any([inputs.step.available for inputs in batch.inputs], axis=0)
+    seen = np.any([epoch.available for inputs in batch.inputs for epoch in _epochs(inputs)], axis=0)
     return tuple(row for row in Row if seen[row])
 
 
 def _first_state(
     model: FilterModel, cell: Cell, periods: Sequence[Period]
-) -> tuple[int, FilterState]:
-    """Return how many periods the filter of a cell needs to start, and its first state."""
+) -> tuple[int, FilterState, tuple[Epoch, ...]]:
+    """Return how many periods the filter of a cell needs to start, its first state, and the rest.
+
+    What it sees in the rest of the last of these periods it remembers, so it has still to see it.
+    """
     noise = np.asarray(model.process_noise), np.asarray(model.measurement_noise)
     before = periods[0].before
     if isinstance(before, FilterState):
-        return 0, start_filter(model, before.mean, before.covariance)
+        return 0, start_filter(model, before.mean, before.covariance), ()
     state: FilterState | Waiting = Waiting(
         *noise, given_pose=before.given_pose, given_covariance=before.given_covariance
     )
     for taken, period in enumerate(periods, 1):
         state = state_at_begin(model, state, period.inputs)
         if isinstance(state, FilterState):  # from `initial_pose`
-            return taken - 1, state
-        reported = period.inputs.step.measurement_covariance
-        if reported is not None:
-            reported = cell.k * reported
-        inputs = period.inputs._replace(
-            step=period.inputs.step._replace(measurement_covariance=reported)
-        )
-        state, _ = run_period(model, state, inputs)
-        if isinstance(state, FilterState):
-            return taken, state
+            return taken - 1, state, ()
+        inputs = _reported_times(period.inputs, cell.k)
+        if inputs.reset is not None:
+            state, _ = run_period(model, state, inputs._replace(epochs_after_reset=()))
+            assert isinstance(state, FilterState)
+            return taken, state, period.inputs.epochs_after_reset
+        for place, epoch in enumerate(inputs.epochs if inputs.wheels_known else (), 1):
+            state = wait(model, state, epoch)
+            if isinstance(state, FilterState):
+                return taken, state, period.inputs.epochs[place:]
     raise ValueError("the filter never starts: expected periods in which it does")
+
+
+def _epochs(inputs: PeriodInputs) -> tuple[Epoch, ...]:
+    return (*inputs.epochs, *inputs.epochs_after_reset)
+
+
+def _reported_times(inputs: PeriodInputs, factor: float) -> PeriodInputs:
+    """Return the inputs with the covariances that fixes reported times a factor."""
+    return inputs._replace(
+        epochs=tuple(
+            epoch
+            if epoch.fix_covariance is None
+            else epoch._replace(fix_covariance=factor * epoch.fix_covariance)
+            for epoch in inputs.epochs
+        )
+    )
 
 
 def _or_infinite(values: FloatArray) -> FloatArray:

@@ -1,6 +1,6 @@
 """What every filter of a study is given and what it gives back; time first, then the batch."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 
@@ -57,3 +57,30 @@ class Track(NamedTuple):
     covariance: FloatArray
     nis: FloatArray
     degrees_of_freedom: FloatArray
+
+
+ValueT = TypeVar("ValueT", Recording, Start)
+
+
+def of_runs(value: ValueT, some: slice) -> ValueT:
+    """Return some of the runs of a recording or of starts; views. What all runs share is kept."""
+    if isinstance(value, Start):
+        return Start(
+            _of_runs(value.mean, some),
+            _of_runs(value.covariance, some, 2),
+            _of_runs(value.process_noise, some),
+            _of_runs(value.measurement_noise, some),
+        )
+    return value._replace(
+        truth=value.truth[:, some],
+        control=value.control[:, some],
+        measurement=value.measurement[:, some],
+        available=value.available[:, some],
+    )
+
+
+def _of_runs(array: FloatArray, some: slice, components: int = 1) -> FloatArray:
+    """Return an array `(..., n, *components)` of some runs; itself where all runs share one."""
+    if array.ndim == components or array.shape[-1 - components] == 1:
+        return array
+    return array[..., some, :] if components == 1 else array[..., some, :, :]

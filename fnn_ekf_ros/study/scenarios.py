@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, FloatArray, Row
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, FloatArray, Row, components_last
 from fnn_ekf_ros.core.odometry import control_from_counts
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, YAW_STD
 from fnn_ekf_ros.simulation.paths import scripted_path
@@ -194,4 +194,4 @@ def _control(robot: FakeRobotParameters, scenario: Scenario, driven: Drive) -> F
     rolled = driven.travel / np.array([1.0 + half, 1.0 - half])
     counts = encoder_counts(robot, RobotState(driven.truth, rolled, np.zeros(())))
     left, right = np.moveaxis(np.diff(counts, axis=0), -1, 0)
-    return control_from_counts(wheel_geometry(robot), left, right)
+    return components_last(control_from_counts(wheel_geometry(robot), left, right))

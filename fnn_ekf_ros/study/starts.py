@@ -50,8 +50,18 @@ def starts(
         cells: how wrong.
         rng: source of the error of the first pose.
     """
+    return starts_at(recording.truth[0], process_noise, measurement_noise, cells, rng)
+
+
+def starts_at(
+    first: FloatArray,
+    process_noise: FloatArray,
+    measurement_noise: FloatArray,
+    cells: Sequence[Cell],
+    rng: np.random.Generator,
+) -> Start:
+    """Return `starts` of robots by their first true poses `(n, 3)` (m, m, rad; map frame)."""
     variance = measurement_noise[:3]
-    first = recording.truth[0]
     mean = first + np.sqrt(variance) * rng.standard_normal(first.shape)
     mean[:, 2] = wrap_angle(mean[:, 2])
     batch = (len(cells), len(first))

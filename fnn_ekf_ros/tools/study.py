@@ -1,24 +1,18 @@
 """`study paper|grid|dynamic`: Monte Carlo runs through every filter; tables, figures, JSON.
 
-`study real` and `study faults` are other modules'.
+`study real`, `study faults` and `study rates` are other modules'.
 """
 
 import argparse
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.parameters.fake_robot import NODE_NAME as FAKE_ROBOT
-from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.study import dynamic, grid, paper
 from fnn_ekf_ros.study.filters import (
     BANK,
@@ -27,7 +21,6 @@ from fnn_ekf_ros.study.filters import (
     EKF,
     ORACLE,
     PAPER,
-    SET_BY_NAMES,
     StudyFilter,
     study_filters,
 )
@@ -37,6 +30,7 @@ from fnn_ekf_ros.tools import (
     study_faults,
     study_figures,
     study_paper_figures,
+    study_rates,
     study_real,
     study_tables,
     study_words,
@@ -45,17 +39,11 @@ from fnn_ekf_ros.tools.arguments import add_parameter_arguments, given_parameter
 from fnn_ekf_ros.tools.pictures import require_matplotlib
 from fnn_ekf_ros.tools.progress import with_progress
 from fnn_ekf_ros.tools.result_folder import prepare_study
-from fnn_ekf_ros.tools.simulate import matching_localizer
+from fnn_ekf_ros.tools.study_settings import study_localizer, write_settings
 from fnn_ekf_ros.tools.study_trials import joined, pieces, work_through
 from fnn_ekf_ros.tools.workers import add_jobs_argument, given_jobs
 from fnn_ekf_ros.version import version
 
-SET_BY_STUDY = {
-    "wheel_radius", "wheel_separation", "gear_ratio", "encoder_counts_per_revolution", "period",
-    "process_noise_std", "measurement_noise_std", "lrf_yaw_std", "initial_pose", "initial_pose_std",
-    *SET_BY_NAMES,
-}  # fmt: skip
-"""What the recordings, the starts and the filters' names decide."""
 MOST = {"runs": 10_000, "steps": 100_000, "seed": 2**63 - 1}
 MOST_PERIODS = 2_000_000
 """Periods of all runs of a trial together: more would not fit into the memory of a computer."""
@@ -151,6 +139,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     faults.set_defaults(study=study_faults.NAME)
     study_faults.add_arguments(faults)
+    rates = names.add_parser(
+        study_rates.NAME, help=study_rates.SUMMARY, description=study_rates.SUMMARY
+    )
+    rates.set_defaults(study=study_rates.NAME)
+    study_rates.add_arguments(rates)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -159,10 +152,12 @@ def run(arguments: argparse.Namespace) -> int:
         return study_real.run(arguments)
     if arguments.study == study_faults.NAME:
         return study_faults.run(arguments)
+    if arguments.study == study_rates.NAME:
+        return study_rates.run(arguments)
     study = STUDIES[arguments.study]
     size, jobs = _size(arguments), given_jobs(arguments)
     given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}
-    filters = study_filters(_localizer(study.paths[0], given))
+    filters = study_filters(study_localizer(study.paths[0], given))
     names = _chosen(arguments.filters, filters, study)
     require_matplotlib()
     out = arguments.out
@@ -172,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
         "parameters": given,
     }  # fmt: skip
     for path in study.paths:
-        _write_settings(out, path, given)
+        write_settings(out, path, given)
 
     plans = study.plans(size)
     total = len(pieces(plans, names))
@@ -218,25 +213,3 @@ def _chosen(words: str | None, known: dict[str, StudyFilter], study: Study) -> l
         if word not in possible:
             raise FnnEkfError(f"--filters {word}: expected some of {', '.join(possible)}")
     return [name for name in possible if name in (*chosen, *study.always)]
-
-
-def _localizer(path: str, given: dict[str, Any]) -> LocalizerParameters:
-    """Return the localizer's parameters for a robot that drives a path; its noise is the truth."""
-    refused = sorted(SET_BY_STUDY & given.keys())
-    if refused:
-        raise FnnEkfError(f"parameter '{refused[0]}': the study itself decides on it")
-    matching = matching_localizer(FakeRobotParameters(path=path))
-    return build(LocalizerParameters, asdict(matching) | given)
-
-
-def _write_settings(out: Path, path: str, given: dict[str, Any]) -> None:
-    """Write what a robot is and what a filter with the right start is told of it."""
-    robot, localizer = FakeRobotParameters(path=path), _localizer(path, given)
-    write_text(
-        out / f"fake_robot_{path}.yaml",
-        render_parameter_file(FakeRobotParameters, asdict(robot), FAKE_ROBOT),
-    )
-    write_text(
-        out / f"localizer_{path}.yaml",
-        render_parameter_file(LocalizerParameters, asdict(localizer), LOCALIZER),
-    )

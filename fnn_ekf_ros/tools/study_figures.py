@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.study import dynamic, grid
 from fnn_ekf_ros.study.filters import ORACLE
 from fnn_ekf_ros.study.scenarios import event_steps

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.simulation.paths import SPACING, scripted_path

@@ -11,7 +11,7 @@ import numpy as np
 
 from fnn_ekf_ros.bag_files import BagError, BagReader, file_beside
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import FilterModel
+from fnn_ekf_ros.core.state import FilterModel
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.files import (
     parse_assignment,

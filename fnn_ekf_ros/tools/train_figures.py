@@ -250,8 +250,8 @@ def _finish_change(
     """Draw the rules' weights below the answers, and give both panels the same axes."""
     top.set_title("What the network answers", fontsize="medium", loc="left")
     top.legend(loc="upper left", fontsize="small")
-    for k, (rule, color) in enumerate(zip(_RULES, _COLORS, strict=True)):
-        bottom.plot(x, learned.normalized_firing[:, k], color=color, lw=1.8, label=rule)
+    for weight, rule, color in zip(learned.normalized_firing, _RULES, _COLORS, strict=True):
+        bottom.plot(x, weight, color=color, lw=1.8, label=rule)
     bottom.set_xscale("asinh", linear_width=linear_width)
     bottom.set(ylabel=r"weight $\beta$ of the rule", xlabel=meaning, ylim=(-0.03, 1.03))
     bottom.set_title("Which rules it comes from, after learning", fontsize="medium", loc="left")

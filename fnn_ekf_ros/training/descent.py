@@ -27,7 +27,7 @@ class LearningNetwork:
 
     Attributes:
         output: takes p and inputs `(n, ...)`, returns outputs `(n,)`.
-        gradient: takes the same, returns the derivatives `(n, m)` of the outputs by p.
+        gradient: takes the same, returns the derivatives `(m, n)` of the outputs by p.
         feasible: takes p, returns the nearest parameters that make sense.
     """
 
@@ -69,8 +69,8 @@ def descend(
 
     def mean(of_pairs: FloatArray) -> FloatArray:
         if weight is None:
-            return np.asarray(np.mean(of_pairs, axis=0))
-        return np.asarray(weight @ of_pairs)
+            return np.asarray(np.mean(of_pairs, axis=-1))
+        return np.asarray(of_pairs @ weight)
 
     p = np.asarray(start, dtype=np.float64)
     while True:
@@ -78,5 +78,5 @@ def descend(
             excess = network.output(p, inputs) - targets
             loss = 0.5 * float(mean(excess**2))
         yield Epoch(p, loss)
-        slope = mean(excess[:, None] * network.gradient(p, inputs))
+        slope = mean(excess * network.gradient(p, inputs))
         p = network.feasible(p - rate * slope)

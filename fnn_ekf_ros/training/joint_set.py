@@ -35,10 +35,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork
-from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row, diagonal_matrix
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row, components_last
 from fnn_ekf_ros.core.evidence import SCALE_COUNT
-from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
-from fnn_ekf_ros.core.joint import ROW_SCALE
+from fnn_ekf_ros.core.filter import step
+from fnn_ekf_ros.core.joint_filters import ROW_SCALE
+from fnn_ekf_ros.core.state import FilterModel, start_filter
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -49,7 +50,8 @@ from fnn_ekf_ros.parameters.paper import (
 )
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.configure import filter_model
-from fnn_ekf_ros.study.recording import Recording
+from fnn_ekf_ros.study.blocks import block_epochs, block_start
+from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.scenarios import NOMINAL, Scenario, record
 
 PATHS = ("sim1", "sim2")
@@ -142,22 +144,21 @@ def observe_joint(
     first = R[:3]
     mean = recording.truth[0] + np.sqrt(first) * rng.standard_normal((runs, len(first)))
 
+    start = Start(mean, np.diag(first), Q * assumed[:, :2], R * assumed[:, ROW_SCALE])
+
     model = _joint_filter(network)
-    state = start_filter(
-        model, mean, diagonal_matrix(first), Q * assumed[:, :2], R * assumed[:, ROW_SCALE]
-    )
+    state = start_filter(model, *block_start(recording, start)[1:])
     true_scale = np.log(_of_scales(recording) / _of_scales(recording)[0])
     seen = []
-    for t, (control, measurement, available) in enumerate(
-        zip(recording.control, recording.measurement, recording.available, strict=True)
-    ):
+    for t, epoch in enumerate(block_epochs(recording, start)):
         before = state.joint
-        state, result = step(model, state, StepInput(control, measurement, available))
+        state, result = step(model, state, (epoch,))
         if before is None or result.joint is None:
             raise ValueError(f"mode {model.adaptation.mode.value}: expected mode joint")
-        u = result.joint.explained
+        u = components_last(result.joint.explained)
+        settled = components_last(before.log_scale[:, 0])
         learned: BoolArray = np.asarray(np.any(u != 0.0, axis=-1))
-        delta = true_scale[t] - np.log(assumed) - before.log_scale[:, 0]
+        delta = true_scale[t] - np.log(assumed) - settled
         seen.append((u[learned], delta[learned], right[learned]))
     return JointObservations(*map(np.concatenate, zip(*seen, strict=True)))
 

@@ -24,8 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import SMALLEST_WINDOW_SHARE
-from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray, Row, diagonal_matrix
-from fnn_ekf_ros.core.filter import FilterModel, StepInput, start_filter, step
+from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray, Row, components_last
+from fnn_ekf_ros.core.filter import step
+from fnn_ekf_ros.core.state import FilterModel, start_filter
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -36,7 +37,8 @@ from fnn_ekf_ros.parameters.paper import (
 )
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.pipeline.configure import filter_model
-from fnn_ekf_ros.study.recording import Recording
+from fnn_ekf_ros.study.blocks import block_epochs, block_start
+from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.scenarios import NOMINAL, record
 
 PATHS = ("sim1", "sim2")
@@ -124,23 +126,20 @@ def observe(recording: Recording, window_length: int, rng: np.random.Generator) 
     right = rng.random((runs, MEASUREMENT_SIZE)) < RIGHT_SHARE
     wrong_by = WRONG_BY ** rng.uniform(-1.0, 1.0, (runs, MEASUREMENT_SIZE))
     assumed = R * np.where(right, 1.0, wrong_by)
-    start = R[[*_ROWS]]
-    mean = recording.truth[0] + np.sqrt(start) * rng.standard_normal((runs, len(start)))
+    first = R[[*_ROWS]]
+    mean = recording.truth[0] + np.sqrt(first) * rng.standard_normal((runs, len(first)))
+    start = Start(mean, np.diag(first), recording.process_noise[0], assumed)
 
     model = _holding_filter(window_length)
-    state = start_filter(
-        model, mean, diagonal_matrix(start), recording.process_noise[0], measurement_noise=assumed
-    )
-    first = int(np.ceil(SMALLEST_WINDOW_SHARE * window_length)) - 1
+    state = start_filter(model, *block_start(recording, start)[1:])
+    unready = int(np.ceil(SMALLEST_WINDOW_SHARE * window_length)) - 1
     wanted = STEP_SHARE * (R - assumed)
     seen = []
-    for t, (control, measurement, available) in enumerate(
-        zip(recording.control, recording.measurement, recording.available, strict=True)
-    ):
-        state, result = step(model, state, StepInput(control, measurement, available))
-        if t >= first:
-            full = state.window.counts >= window_length
-            seen.append((result.mismatch, wanted, right & full))
+    for t, epoch in enumerate(block_epochs(recording, start)):
+        state, result = step(model, state, (epoch,))
+        if t >= unready:
+            full = components_last(state.window.counts) >= window_length
+            seen.append((components_last(result.mismatch), wanted, right & full))
     mismatch, change, settled = (np.concatenate(part)[:, _ROWS] for part in zip(*seen, strict=True))
     return Observations(mismatch, change, settled)
 

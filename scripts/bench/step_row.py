@@ -19,7 +19,8 @@ The means of `none` and of filterpy's filter are compared at the end of every bl
 of more than 1e-9 ends the row.
 
 The ratios say what the package's additions cost where one robot is filtered step by step, as in
-the node and in `replay`. A step is due every 375 ms.
+the node and in `replay`. A step is due at each time at which something was measured, and at the
+end of each period of 375 ms.
 """
 
 

@@ -16,7 +16,8 @@ Stepper = Callable[[FloatArray, FloatArray], FloatArray]
 
 def own(adaptation: str, mean: FloatArray) -> Stepper:
     """Return the package's filter as a function that takes a step and returns the mean."""
-    from fnn_ekf_ros.core.filter import StepInput, start_filter, step
+    from fnn_ekf_ros.core.filter import Epoch, step
+    from fnn_ekf_ros.core.state import start_filter
     from fnn_ekf_ros.membership.files import networks_for
     from fnn_ekf_ros.parameters.localizer import LocalizerParameters
     from fnn_ekf_ros.pipeline.configure import filter_model
@@ -27,7 +28,7 @@ def own(adaptation: str, mean: FloatArray) -> Stepper:
 
     def advance(control: FloatArray, measurement: FloatArray) -> FloatArray:
         nonlocal state
-        state, _ = step(model, state, StepInput(control, measurement, ALL_ROWS))
+        state, _ = step(model, state, [Epoch(control, PERIOD_S, measurement, ALL_ROWS)])
         return state.mean
 
     return advance

@@ -15,11 +15,11 @@ from fnn_ekf_ros.core.adaptation import (
     InferenceKind,
     Networks,
 )
-from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.arrays import FloatArray, components_first
 from fnn_ekf_ros.core.bounds import NoiseBounds
-from fnn_ekf_ros.core.filter import FilterModel
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.state import FilterModel
 from fnn_ekf_ros.membership.files import read_membership
 
 # Nguyen et al., before learning; P, N, D, I, M, Z as the paper numbers them.
@@ -101,9 +101,10 @@ def build_model(
 
 
 def build_covariances(rng: np.random.Generator, count: int, size: int) -> FloatArray:
-    """Return `(count, size, size)` symmetric positive definite matrices of ordinary condition."""
+    """Return `(size, size, count)` symmetric positive definite matrices of ordinary condition."""
     root = rng.standard_normal((count, size, size))
-    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(size)
+    covariances = root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(size)
+    return components_first(covariances, 2)
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from fnn_ekf_ros.core.adaptation import (
     Adaptation,
     Adapted,
     FuzzyNetwork,
-    NoiseBounds,
+    Scales,
     adapt,
 )
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
+from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.fuzzy import FuzzySets, infer, infer_centroid
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window, mean_square, push
 
@@ -24,6 +26,8 @@ Q = np.array([4e-4, 3e-4])
 R = np.array([0.01, 0.012, 0.018, 0.02])
 ALL_ROWS = np.ones(4, dtype=np.bool_)
 DISTANCE, ROTATION = 0, 1
+AS_IN_USE = Scales(process=1.0, measurement=np.ones(4))
+"""The noise in use is the noise that is adapted."""
 TIGHT = NoiseBounds((1e-4, 1e-4), (1e-3, 1e-3), (5e-3,) * 4, (3e-2,) * 4)
 
 
@@ -42,9 +46,10 @@ def run(
     available: BoolArray = ALL_ROWS,
     heading: float = 0.4,
     filled: int = 45,
+    scales: Scales = AS_IN_USE,
 ) -> Adapted:
     window = filled_window(C, filled=filled)
-    return adapt(adaptation, Q, R, window, S, available, np.array(heading))
+    return adapt(adaptation, Q, R, window, S, available, np.array(heading), scales)
 
 
 S = np.array([0.020, 0.030, 0.040, 0.050])
@@ -70,7 +75,7 @@ def test_mode_r_moves_every_row_by_its_fuzzy_output_in_its_unit(
         )
         expected = max(R[row] + float(inference.change) * unit[row], 0.25 * R[row])
         assert after.measurement_noise[row] == pytest.approx(expected, rel=1e-12)
-        np.testing.assert_allclose(after.firing_strength[row], inference.firing_strength)
+        np.testing.assert_allclose(after.firing_strength[:, row], inference.firing_strength)
     assert after.process_noise.tobytes() == Q.tobytes()
 
 
@@ -106,11 +111,11 @@ def test_mode_q_projects_the_mismatch_on_the_way(
     assert after.measurement_noise.tobytes() == R.tobytes()
     for axis, argument in ((DISTANCE, forward / 2e-6), (ROTATION, D[2] / 5e-7)):
         np.testing.assert_allclose(
-            after.process_firing_strength[axis],
+            after.process_firing_strength[:, axis],
             infer(published, np.array(argument)).firing_strength,
         )
-    in_rows = np.zeros((4, 3))
-    in_rows[[0, 2]] = after.process_firing_strength
+    in_rows = np.zeros((3, 4))
+    in_rows[:, [0, 2]] = after.process_firing_strength
     np.testing.assert_array_equal(after.firing_strength, in_rows)
 
 
@@ -147,8 +152,8 @@ def test_mode_q_uses_only_what_was_measured(
     C = S + np.array([1e-4, 1e-4, 2e-4, 5e-4])
     after = run(make_adaptation(mode="q"), S, C, available)
     assert (after.process_noise[0] != Q[0]) == forward_moves
-    assert np.any(after.process_firing_strength[DISTANCE] != 0.0) == forward_moves
-    assert np.any(after.process_firing_strength[ROTATION] != 0.0) == (yaw_row is not None)
+    assert np.any(after.process_firing_strength[:, DISTANCE] != 0.0) == forward_moves
+    assert np.any(after.process_firing_strength[:, ROTATION] != 0.0) == (yaw_row is not None)
     if yaw_row is None:
         assert after.process_noise[1] == Q[1]
     else:
@@ -175,7 +180,8 @@ def test_mode_r_leaves_unmeasured_rows_bit_for_bit(
     after = run(make_adaptation(mode="r"), S, C_HAT + 1e-3, available)
     unmoved = after.measurement_noise == R
     np.testing.assert_array_equal(unmoved, ~available)
-    assert np.all(after.firing_strength[row] == 0.0)
+    assert np.all(after.firing_strength[:, row] == 0.0)
+    assert np.all(after.firing_strength[:, available].sum(axis=0) > 0.0)
 
 
 @pytest.mark.parametrize(("filled", "teaches"), [(1, False), (14, False), (15, True), (45, True)])
@@ -224,7 +230,7 @@ def test_rows_that_have_seen_nothing_have_no_mismatch(
     make_adaptation: Callable[..., Adaptation],
 ) -> None:
     window = push(empty_window(45), np.ones(4), np.array([True, False, True, False]))
-    after = adapt(make_adaptation(mode="r"), Q, R, window, S, ALL_ROWS, np.array(0.0))
+    after = adapt(make_adaptation(mode="r"), Q, R, window, S, ALL_ROWS, np.array(0.0), AS_IN_USE)
     np.testing.assert_allclose(after.mismatch, [S[0] - 1.0, 0.0, S[2] - 1.0, 0.0])
 
 
@@ -296,7 +302,7 @@ def test_noise_stays_positive_and_inside_its_bounds_whatever_comes(
             window = push(window, np.array(innovation), available)
             after = adapt(
                 adaptation, process_noise, measurement_noise, window, measurement_noise + 1e-3,
-                available, np.array(heading),
+                available, np.array(heading), AS_IN_USE,
             )  # fmt: skip
             process_noise, measurement_noise = after.process_noise, after.measurement_noise
             for noise, low, high in (
@@ -309,6 +315,38 @@ def test_noise_stays_positive_and_inside_its_bounds_whatever_comes(
             assert np.all(np.isfinite(after.process_firing_strength))
 
 
+@pytest.mark.parametrize("kind", ["tsukamoto", "centroid"])
+def test_change_of_the_noise_in_use_is_divided_by_its_scale(
+    make_adaptation: Callable[..., Adaptation], kind: str
+) -> None:
+    """Reports of a sensor move by more than the noise that is adapted, or by less."""
+    C = S + np.array([1e-4, 2e-4, 2e-4, 5e-4])
+    adaptation = make_adaptation(mode="rq", kind=kind)
+    scales = Scales(process=4.0, measurement=np.array([0.5, 2.0, 8.0, 1.0]))
+    plain, scaled = run(adaptation, S, C), run(adaptation, S, C, scales=scales)
+    change = plain.measurement_noise - R
+    assert np.all(change > 0.0)
+    np.testing.assert_allclose(scaled.measurement_noise - R, change / scales.measurement, rtol=1e-9)
+    np.testing.assert_allclose(
+        scaled.process_noise - Q, (plain.process_noise - Q) / scales.process, rtol=1e-9
+    )
+    for one, other in zip(plain[2:], scaled[2:], strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+@pytest.mark.parametrize("mode", ["r", "q", "rq"])
+def test_learning_that_is_off_leaves_the_noise_and_still_reports_the_mismatch(
+    make_adaptation: Callable[..., Adaptation], mode: str
+) -> None:
+    adaptation = replace(make_adaptation(mode=mode, bounds=TIGHT), learning=False)
+    after = run(adaptation, S, C_HAT + 1.0)
+    assert after.process_noise.tobytes() == Q.tobytes()
+    assert after.measurement_noise.tobytes() == R.tobytes()
+    np.testing.assert_allclose(after.mismatch, S - C_HAT - 1.0, rtol=1e-12)
+    assert not np.any(after.firing_strength)
+    assert not np.any(after.process_firing_strength)
+
+
 @pytest.mark.parametrize("mode", ["none", "r", "q", "rq"])
 def test_batches_equal_one_by_one_and_arguments_are_not_changed(
     make_adaptation: Callable[..., Adaptation], mode: str
@@ -318,22 +356,26 @@ def test_batches_equal_one_by_one_and_arguments_are_not_changed(
     adaptation = make_adaptation(mode=mode, window_length=6)
     window = empty_window(6, batch)
     for _ in range(5):
-        window = push(window, 0.2 * rng.standard_normal((*batch, 4)), rng.random((*batch, 4)) < 0.7)
-    process_noise = Q * rng.uniform(0.5, 2.0, (*batch, 2))
-    measurement_noise = R * rng.uniform(0.5, 2.0, (*batch, 4))
+        window = push(window, 0.2 * rng.standard_normal((4, *batch)), rng.random((4, *batch)) < 0.7)
+    process_noise = Q[:, None, None] * rng.uniform(0.5, 2.0, (2, *batch))
+    measurement_noise = R[:, None, None] * rng.uniform(0.5, 2.0, (4, *batch))
     variance = 2.0 * measurement_noise
-    available, heading = rng.random((*batch, 4)) < 0.7, rng.uniform(-3.0, 3.0, batch)
-    for array in (process_noise, measurement_noise, *window, variance, available, heading):
+    available, heading = rng.random((4, *batch)) < 0.7, rng.uniform(-3.0, 3.0, batch)
+    scale = rng.uniform(0.5, 2.0, (4, *batch))
+    for array in (process_noise, measurement_noise, *window, variance, available, heading, scale):
         array.flags.writeable = False
     together = adapt(
-        adaptation, process_noise, measurement_noise, window, variance, available, heading
-    )
+        adaptation, process_noise, measurement_noise, window, variance, available, heading,
+        Scales(2.0, scale),
+    )  # fmt: skip
+    assert together.firing_strength.shape == (3, 4, *batch)
+    assert together.process_firing_strength.shape == (3, 2, *batch)
     for i in np.ndindex(*batch):
         alone = adapt(
-            adaptation, process_noise[i], measurement_noise[i],
-            InnovationWindow(window.squares[i], window.counts[i]),
-            variance[i], available[i], heading[i],
+            adaptation, process_noise[:, *i], measurement_noise[:, *i],
+            InnovationWindow(window.squares[:, :, *i], window.counts[:, *i]),
+            variance[:, *i], available[:, *i], heading[i], Scales(2.0, scale[:, *i]),
         )  # fmt: skip
         for one, other in zip(together, alone, strict=True):
-            np.testing.assert_allclose(one[i], other, rtol=1e-12, atol=1e-300)
+            np.testing.assert_allclose(one[..., *i], other, rtol=1e-12, atol=1e-300)
     assert np.all(mean_square(window) >= 0.0)

@@ -88,3 +88,17 @@ def test_arrays_keep_their_shape_and_each_entry_is_wrapped_alone() -> None:
     assert wrapped.dtype == np.float64
     for index in np.ndindex(*angles.shape):
         assert wrapped[index] == wrap_angle(angles[index])
+
+
+def test_angle_inside_keeps_every_bit_beside_others_that_are_wrapped() -> None:
+    """Or the same robot would come out differently in another batch."""
+    rng = np.random.default_rng(1)
+    inside = rng.uniform(-math.pi, math.pi, 500) * 10.0 ** rng.uniform(-12.0, 0.0, 500)
+    angles = np.stack([inside, inside + 2.0 * math.pi])
+    angles[1, 0] = -math.pi
+    given = angles.copy()
+    wrapped = wrap_angle(angles)
+    assert wrapped[0].tobytes() == inside.tobytes()
+    assert wrapped[1, 0] == math.pi
+    assert angles.tobytes() == given.tobytes()
+    assert wrap_angle(inside).tobytes() == inside.tobytes()

@@ -6,7 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, diagonal_matrix
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
+from fnn_ekf_ros.core.bank import (
+    FIX_ROWS,
+    Bank,
+    Correction,
+    Innovations,
+    Noise,
+    Readings,
+    correct,
+    innovate,
+    noise_of_readings,
+    predict,
+)
 from fnn_ekf_ros.core.evidence import (
     CONSISTENT_SCALE,
     NEIGHBOUR_STEP,
@@ -19,19 +31,15 @@ from fnn_ekf_ros.core.evidence import (
     log_likelihood,
     star_evidence,
 )
-from fnn_ekf_ros.core.kalman import Innovation, innovate, update
-from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.core.plant import Plant, predict
+from fnn_ekf_ros.core.motion import MotionModel, move
 
 Covariances = Callable[[np.random.Generator, int, int], FloatArray]
 ALL_MASKS = list(itertools.product([False, True], repeat=4))
-NO_ROWS = np.zeros(4, dtype=np.bool_)
 STATE_OF_ROW = [0, 1, 2, 2]
 SCALE_OF_ROW = [2, 2, 3, 3]
 NU = TAIL_DEGREES_OF_FREEDOM
 Q = np.array([4e-4, 3e-4])
 R = np.array([0.01, 0.01, 0.018, 0.02])
-PLANT = Plant(MotionModel.EXACT_ARC, 1.0, (0.01, 0.01, 0.018, 0.02))
 
 
 def expected_tail(scale: float, n: int) -> float:
@@ -63,69 +71,97 @@ def student_log_likelihood(r: FloatArray, S: FloatArray) -> float:
     return -0.5 * (math.log(np.linalg.det(S)) + tail)
 
 
-@pytest.mark.parametrize("mask", ALL_MASKS, ids=str)
 @pytest.mark.parametrize("left_over", [0.0, 1e6, math.nan])
+@pytest.mark.parametrize("reported", [False, True], ids=["own noise", "reported noise"])
 def test_log_likelihood_counts_the_available_rows_only(
-    mask: tuple[bool, ...], left_over: float, random_covariances: Covariances
+    left_over: float, random_covariances: Covariances, reported: bool
 ) -> None:
+    """For three filters of 16 robots, to each of which other rows are available."""
     rng = np.random.default_rng(80)
-    available = np.array(mask)
-    rows = np.flatnonzero(available)
-    for P, noise in zip(random_covariances(rng, 5, 3), random_covariances(rng, 5, 4), strict=True):
-        z = rng.standard_normal(4)
-        S = P[np.ix_(STATE_OF_ROW, STATE_OF_ROW)] + noise
-        expected = student_log_likelihood(z[rows], S[np.ix_(rows, rows)])
-        z[~available] = left_over
-        got = log_likelihood(innovate(np.zeros(3), P, z, noise, available))
-        assert got == pytest.approx(expected, abs=1e-12)
-        assert got.shape == ()
+    robots, available = len(ALL_MASKS), np.array(ALL_MASKS).T
+    P = random_covariances(rng, 3 * robots, 3).reshape(3, 3, 3, robots)
+    own = rng.uniform(0.1, 2.0, (4, 3, robots))
+    fix = random_covariances(rng, robots, 3)
+    z = rng.standard_normal((4, robots))
+    bank = Bank(np.zeros((3, 3, robots)), P)
+    noise = Noise(np.ones((2, 3, robots)), own)
+    used = noise_of_readings(noise, (1.0,) * 4, fix if reported else None, available)
+    readings = Readings(np.where(available, z, left_over), available)
+    taken = correct(bank, innovate(bank, readings, used.measurement), used, available)
+    got = log_likelihood(taken.nis, taken.determinant, available.sum(axis=0))
+    assert got.shape == (3, robots)
+    for f, i in np.ndindex(3, robots):
+        R_all = np.diag(own[:, f, i])
+        if reported:
+            scale = np.sqrt(own[FIX_ROWS, f, i])
+            R_all[np.ix_(FIX_ROWS, FIX_ROWS)] = scale[:, None] * fix[..., i] * scale
+        rows = np.flatnonzero(available[:, i])
+        S = (P[..., f, i][np.ix_(STATE_OF_ROW, STATE_OF_ROW)] + R_all)[np.ix_(rows, rows)]
+        assert got[f, i] == pytest.approx(student_log_likelihood(z[rows, i], S), abs=1e-12)
 
 
 def test_the_star_has_its_centre_and_two_neighbours_for_each_scale() -> None:
     assert SCALES == ("forward", "heading", "position", "yaw")
     assert len(SCALES) == SCALE_COUNT
-    assert STAR.shape == (STAR_SIZE, SCALE_COUNT) == (9, 4)
-    expected = np.zeros((9, 4))
+    assert STAR.shape == (SCALE_COUNT, STAR_SIZE) == (4, 9)
+    expected = np.zeros((4, 9))
     for scale in range(4):
-        expected[1 + 2 * scale, scale] = NEIGHBOUR_STEP
-        expected[2 + 2 * scale, scale] = -NEIGHBOUR_STEP
+        expected[scale, 1 + 2 * scale] = NEIGHBOUR_STEP
+        expected[scale, 2 + 2 * scale] = -NEIGHBOUR_STEP
     np.testing.assert_array_equal(STAR, expected)
 
 
 class Period(NamedTuple):
+    """What robots drove and measured; components first, then the batch."""
+
     control: FloatArray
     measurement: FloatArray
     available: BoolArray
 
 
-class Filters(NamedTuple):
-    """Means and covariances; the last batch axis is the star's."""
+def star_noise(batch: tuple[int, ...]) -> Noise:
+    """Return the noise of a star of filters."""
+    behind = (1,) * len(batch)
+    process = Q[:, None] * np.exp(STAR[:2])
+    measurement = R[:, None] * np.exp(STAR[SCALE_OF_ROW])
+    return Noise(
+        np.broadcast_to(process.reshape(2, STAR_SIZE, *behind), (2, STAR_SIZE, *batch)),
+        np.broadcast_to(measurement.reshape(4, STAR_SIZE, *behind), (4, STAR_SIZE, *batch)),
+    )
 
-    mean: FloatArray
-    covariance: FloatArray
 
-
-def star_step(filters: Filters, period: Period) -> tuple[Filters, Innovation]:
+def star_step(filters: Bank, period: Period) -> tuple[Bank, Innovations, Correction]:
     """Take a star of filters over one period, each with noise of its own."""
-    process_noise = Q * np.exp(STAR[:, :2])
-    noise = diagonal_matrix(R * np.exp(STAR[:, SCALE_OF_ROW]))
-    mean, covariance = predict(PLANT, *filters, process_noise, period.control[..., None, :])
-    available = period.available[..., None, :]
-    seen = innovate(mean, covariance, period.measurement[..., None, :], noise, available)
-    counts = np.broadcast_to(seen.degrees_of_freedom, seen.nis.shape)
-    seen = seen._replace(degrees_of_freedom=counts)
-    return Filters(*update(mean, covariance, noise, available, seen)), seen
+    noise = star_noise(filters.mean.shape[2:])
+    predicted = predict(MotionModel.EXACT_ARC, filters, period.control, noise.process)
+    readings = Readings(period.measurement, period.available)
+    seen = innovate(predicted, readings, noise.measurement)
+    taken = correct(predicted, seen, noise, readings.available)
+    return taken.bank, seen, taken
+
+
+def evidence_of(seen: Innovations, taken: Correction, available: BoolArray) -> Evidence:
+    """Return what all rows available say to the star of one learner; its axis is left out."""
+    rows = np.asarray(available.sum(axis=0), dtype=np.float64)
+    evidence = star_evidence(
+        seen.innovation[:, :, None],
+        seen.variance[:, :, None],
+        log_likelihood(taken.nis, taken.determinant, rows)[:, None],
+        available,
+        rows,
+    )
+    return Evidence(evidence.score[:, 0], evidence.information[:, :, 0])
 
 
 def random_periods(seed: int, steps: int) -> list[Period]:
     """A robot on a circle, measured by other rows each time."""
     rng = np.random.default_rng(seed)
-    truth, periods = np.array([1.0, 2.0, 0.5]), []
+    truth, periods = np.array([1.0, 2.0, 0.5])[:, None], []
     for _ in range(steps):
         control = np.array([rng.uniform(0.1, 0.4), rng.uniform(0.02, 0.2)])
         driven = control + rng.standard_normal(2) * np.sqrt(4.0 * Q)
-        truth = predict(PLANT, truth, np.eye(3), Q, driven)[0]
-        z = truth[STATE_OF_ROW] + rng.standard_normal(4) * np.sqrt(R)
+        truth = move(MotionModel.EXACT_ARC, truth, driven).mean
+        z = truth[STATE_OF_ROW, 0] + rng.standard_normal(4) * np.sqrt(R)
         periods.append(Period(control, z, rng.random(4) < 0.6))
     return periods
 
@@ -150,13 +186,14 @@ def independent_innovations(
 
 
 def along_the_star(periods: list[Period]) -> list[Evidence]:
-    filters = Filters(
-        np.tile([1.0, 2.0, 0.5], (STAR_SIZE, 1)), np.tile(0.01 * np.eye(3), (STAR_SIZE, 1, 1))
+    filters = Bank(
+        np.array([1.0, 2.0, 0.5])[:, None] * np.ones(STAR_SIZE),
+        0.01 * np.eye(3)[:, :, None] * np.ones(STAR_SIZE),
     )
     found = []
     for period in periods:
-        filters, seen = star_step(filters, period)
-        found.append(star_evidence(seen))
+        filters, seen, taken = star_step(filters, period)
+        found.append(evidence_of(seen, taken, period.available))
     return found
 
 
@@ -221,24 +258,28 @@ def sample(control: list[float], available: BoolArray, seed: int, heavy: bool) -
     """
     rng = np.random.default_rng(seed)
     runs, n = 100, int(np.sum(available))
-    filters = Filters(np.zeros((runs, STAR_SIZE, 3)), np.tile(1e-3 * np.eye(3), (runs, 9, 1, 1)))
-    nothing = Period(np.tile(control, (runs, 1)), np.zeros((runs, 4)), np.tile(NO_ROWS, (runs, 1)))
+    filters = Bank(
+        np.zeros((3, STAR_SIZE, runs)),
+        1e-3 * np.eye(3)[:, :, None, None] * np.ones((STAR_SIZE, runs)),
+    )
+    driven = np.array(control)[:, None] * np.ones(runs)
+    measured = np.broadcast_to(available[:, None], (4, runs))
+    process = star_noise((runs,)).process
     scores, information = [], []
     for i in range(160):
-        ahead = Filters(*(part[:, 0] for part in star_step(filters, nothing)[0]))
-        S = ahead.covariance[:, STATE_OF_ROW][:, :, STATE_OF_ROW] + np.diag(R)
-        root = np.linalg.cholesky(S[:, available][:, :, available])
+        ahead = predict(MotionModel.EXACT_ARC, filters, driven, process)
+        S = np.moveaxis(ahead.covariance[:, :, 0], -1, 0)[:, STATE_OF_ROW][:, :, STATE_OF_ROW]
+        root = np.linalg.cholesky((S + np.diag(R))[:, available][:, :, available])
         r = rng.standard_normal((runs, n))
         if heavy:
             r *= np.sqrt(CONSISTENT_SCALE[n] / rng.chisquare(NU, (runs, 1)))
-        z = ahead.mean[:, STATE_OF_ROW]
-        z[:, available] += (root @ r[..., None])[..., 0]
-        period = nothing._replace(measurement=z, available=np.tile(available, (runs, 1)))
-        filters, seen = star_step(filters, period)
+        z = ahead.mean[STATE_OF_ROW, 0]
+        z[available] += (root @ r[..., None])[..., 0].T
+        filters, seen, taken = star_step(filters, Period(driven, z, measured))
         if i >= 40:
-            evidence = star_evidence(seen)
-            scores.append(evidence.score)
-            information.append(np.mean(evidence.information, axis=0))
+            evidence = evidence_of(seen, taken, measured)
+            scores.append(evidence.score.T)
+            information.append(np.mean(evidence.information, axis=-1))
     return Sampled(np.concatenate(scores), np.mean(information, axis=0))
 
 
@@ -280,14 +321,25 @@ def test_information_is_nearly_the_scores_covariance_driving() -> None:
     assert np.all((of_scales > 0.8) & (of_scales < 1.25)), of_scales
 
 
+def compared(bank: Bank, z: FloatArray, R: FloatArray, available: BoolArray) -> Evidence:
+    """Return the evidence of readings of one robot, with variances `(4, 9)` of theirs."""
+    noise = Noise(np.ones((2, STAR_SIZE)), R)
+    seen = innovate(bank, Readings(z, available), R)
+    return evidence_of(seen, correct(bank, seen, noise, available), available)
+
+
+def unit_bank(mean: FloatArray) -> Bank:
+    """Return a star of filters with P = I."""
+    return Bank(mean, np.eye(3)[:, :, None] * np.ones(STAR_SIZE))
+
+
 def two_filters(first: FloatArray, second: FloatArray, z: float, row: int) -> Evidence:
     """Evidence of one row, where the heading's neighbours expect `first` and `second`."""
-    mean = np.zeros((STAR_SIZE, 3))
-    mean[3], mean[4] = first, second
+    mean = np.zeros((3, STAR_SIZE))
+    mean[:, 3], mean[:, 4] = first, second
     measurement = np.zeros(4)
     measurement[row] = z
-    available = np.tile(np.arange(4) == row, (STAR_SIZE, 1))
-    return star_evidence(innovate(mean, np.eye(3), measurement, np.eye(4), available))
+    return compared(unit_bank(mean), measurement, np.ones((4, STAR_SIZE)), np.arange(4) == row)
 
 
 @pytest.mark.parametrize("row", [2, 3])
@@ -309,14 +361,15 @@ def test_positions_far_apart_are_far_apart(row: int) -> None:
 
 
 def test_no_measurement_says_nothing() -> None:
+    """Of two learners of five robots."""
     rng = np.random.default_rng(86)
-    mean = rng.standard_normal((5, STAR_SIZE, 3))
-    P = np.eye(3) * rng.uniform(0.1, 2.0, (5, STAR_SIZE, 1, 1))
-    nothing = np.broadcast_to(NO_ROWS, (5, STAR_SIZE, 4))
-    evidence = star_evidence(innovate(mean, P, np.full(4, np.nan), np.eye(4), nothing))
-    assert evidence.log_likelihood.shape == (5,)
-    assert evidence.score.shape == (5, SCALE_COUNT)
-    assert evidence.information.shape == (5, SCALE_COUNT, SCALE_COUNT)
+    variance = rng.uniform(0.1, 2.0, (4, STAR_SIZE, 2, 5))
+    rows, nothing = np.zeros(5), np.zeros((4, 5), dtype=np.bool_)
+    likelihood = log_likelihood(np.zeros((STAR_SIZE, 2, 5)), np.ones((STAR_SIZE, 2, 5)), rows)
+    assert not np.any(likelihood)
+    evidence = star_evidence(np.zeros_like(variance), variance, likelihood, nothing, rows)
+    assert evidence.score.shape == (SCALE_COUNT, 2, 5)
+    assert evidence.information.shape == (SCALE_COUNT, SCALE_COUNT, 2, 5)
     assert not any(np.any(part) for part in evidence)
 
 
@@ -326,25 +379,66 @@ def test_masked_rows_contribute_nothing(
 ) -> None:
     """Whatever they hold, and whatever their noise would be."""
     rng = np.random.default_rng(87)
-    available = np.tile(mask, (STAR_SIZE, 1))
-    mean, P = rng.standard_normal((STAR_SIZE, 3)), random_covariances(rng, STAR_SIZE, 3)
-    z, noise = rng.standard_normal(4), diagonal_matrix(rng.uniform(0.1, 2.0, (STAR_SIZE, 4)))
-    clean = star_evidence(innovate(mean, P, z, noise, available))
-    hidden = ~np.array(mask)
+    available = np.array(mask)
+    bank = Bank(rng.standard_normal((3, STAR_SIZE)), random_covariances(rng, STAR_SIZE, 3))
+    z, noise = rng.standard_normal(4), rng.uniform(0.1, 2.0, (4, STAR_SIZE))
+    clean = compared(bank, z, noise, available)
+    hidden = ~available
     z[hidden] = 1e6
-    noise[:, hidden, hidden] *= rng.uniform(0.1, 10.0, (STAR_SIZE, int(np.sum(hidden))))
-    dirty = star_evidence(innovate(mean, P, z, noise, available))
+    noise[hidden] *= rng.uniform(0.1, 10.0, (int(np.sum(hidden)), STAR_SIZE))
+    dirty = compared(bank, z, noise, available)
     for one, other in zip(clean, dirty, strict=True):
         assert one.tobytes() == other.tobytes()
 
 
+@pytest.mark.parametrize("mask", ALL_MASKS, ids=str)
+def test_rows_that_do_not_teach_add_no_information(
+    mask: tuple[bool, ...], random_covariances: Covariances
+) -> None:
+    """Even where they were measured: it is that of the rows that teach, taken alone."""
+    rng = np.random.default_rng(88)
+    teaches = np.array(mask)
+    bank = Bank(rng.standard_normal((3, STAR_SIZE)), random_covariances(rng, STAR_SIZE, 3))
+    z, noise = rng.standard_normal(4), rng.uniform(0.1, 2.0, (4, STAR_SIZE))
+    alone = compared(bank, z, noise, teaches)
+    seen = innovate(bank, Readings(z, np.ones(4, dtype=np.bool_)), noise)
+    rows = np.asarray(float(np.sum(teaches)))
+    likelihood = np.zeros((STAR_SIZE, 1))
+    among_all = star_evidence(
+        seen.innovation[:, :, None], seen.variance[:, :, None], likelihood, teaches, rows
+    )
+    assert among_all.information[:, :, 0].tobytes() == alone.information.tobytes()
+
+
+def test_learners_and_robots_are_told_what_each_is_told_alone() -> None:
+    rng = np.random.default_rng(89)
+    shape = (STAR_SIZE, 2, 3)
+    innovation, variance = rng.standard_normal((4, *shape)), rng.uniform(0.1, 2.0, (4, *shape))
+    teaches = rng.random((4, 3)) < 0.7
+    rows = teaches.sum(axis=0).astype(np.float64)
+    likelihood = rng.standard_normal(shape)
+    given = innovation.copy()
+    together = star_evidence(innovation, variance, likelihood, teaches, rows)
+    assert innovation.tobytes() == given.tobytes()
+    for learner, robot in np.ndindex(2, 3):
+        alone = star_evidence(
+            innovation[:, :, learner : learner + 1, robot],
+            variance[:, :, learner : learner + 1, robot],
+            likelihood[:, learner : learner + 1, robot],
+            teaches[:, robot],
+            rows[robot],
+        )
+        for one, other in zip(together, alone, strict=True):
+            np.testing.assert_allclose(one[..., learner, robot], other[..., 0], rtol=1e-14)
+
+
 def test_one_wild_fix_says_only_so_much() -> None:
     """The score is bounded by the tail; of a Gaussian it would grow with the square."""
-    mean, P = np.zeros((STAR_SIZE, 3)), np.tile(np.eye(3), (STAR_SIZE, 1, 1))
-    noise = diagonal_matrix(np.exp(STAR[:, SCALE_OF_ROW]))
-    available = np.tile([True, False, False, False], (STAR_SIZE, 1))
+    noise = np.exp(STAR[SCALE_OF_ROW])
+    available = np.array([True, False, False, False])
+    bank = unit_bank(np.zeros((3, STAR_SIZE)))
     scores = [
-        star_evidence(innovate(mean, P, np.full(4, far), noise, available)).score[2]
+        float(compared(bank, np.full(4, far), noise, available).score[2])
         for far in (3.0, 30.0, 300.0, 3000.0)
     ]
     assert scores == sorted(scores)

@@ -7,15 +7,9 @@ import pytest
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
-from fnn_ekf_ros.core.filter import (
-    FilterModel,
-    FilterState,
-    StepInput,
-    StepResult,
-    start_filter,
-    step,
-)
-from fnn_ekf_ros.core.motion import MotionModel, move
+from fnn_ekf_ros.core.filter import Epoch, FilterModel, FilterState, StepResult, step
+from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.core.state import start_filter
 
 # The paper's simulation 1, (25): standard deviations per 375 ms and of the sensors.
 TRUE_Q = np.array([0.02, math.radians(1.0)]) ** 2
@@ -24,7 +18,7 @@ COMPASS_AND_POSITION = np.array([True, True, True, False])
 
 
 class Drive(NamedTuple):
-    """A batch of simulated robots; time first, runs second."""
+    """A batch of simulated robots; time first, then components, then runs."""
 
     start: FloatArray
     control: FloatArray
@@ -35,16 +29,16 @@ class Drive(NamedTuple):
 def simulate(seed: int, runs: int, steps: int) -> Drive:
     """Robots on exact arcs; the encoders do not see the noise of the way and the turn."""
     rng = np.random.default_rng(seed)
-    truth = np.tile([0.0, 0.0, 0.0], (runs, 1))
-    start = truth.copy()
+    truth = start = np.zeros((3, runs))
+    std_Q, std_R = np.sqrt(TRUE_Q)[:, None], np.sqrt(TRUE_R)[:, None]
     controls, measurements, truths = [], [], []
     for i in range(steps):
-        control = np.tile([0.11, 0.03 + 0.05 * math.sin(0.05 * i)], (runs, 1))
-        driven = control + rng.standard_normal((runs, 2)) * np.sqrt(TRUE_Q)
-        truth = move(MotionModel.EXACT_ARC, truth, driven).mean
-        noise = rng.standard_normal((runs, 4)) * np.sqrt(TRUE_R)
+        control = np.repeat([[0.11], [0.03 + 0.05 * math.sin(0.05 * i)]], runs, axis=1)
+        driven = control + rng.standard_normal((2, runs)) * std_Q
+        truth = truth + displacement(MotionModel.EXACT_ARC, truth[2], driven)
+        noise = rng.standard_normal((4, runs)) * std_R
         controls.append(control)
-        measurements.append(truth[:, [0, 1, 2, 2]] + noise)
+        measurements.append(truth[[0, 1, 2, 2]] + noise)
         truths.append(truth)
     return Drive(start, np.array(controls), np.array(measurements), np.array(truths))
 
@@ -58,11 +52,11 @@ def filter_drive(
     model: FilterModel, drive: Drive, available: BoolArray = COMPASS_AND_POSITION
 ) -> tuple[FloatArray, FloatArray, FilterState, StepResult]:
     """Return means, R over time, and the last state and result."""
-    mask = np.broadcast_to(available, (*drive.start.shape[:-1], 4))
+    mask = np.repeat(available[:, None], drive.start.shape[1], axis=1)
     state = start_filter(model, drive.start, np.diag([0.01, 0.01, 0.018]))
     means, noises = [], []
     for control, measurement in zip(drive.control, drive.measurement, strict=True):
-        state, result = step(model, state, StepInput(control, measurement, mask))
+        state, result = step(model, state, [Epoch(control, 0.375, measurement, mask)])
         means.append(state.mean)
         noises.append(state.measurement_noise)
     return np.array(means), np.array(noises), state, result
@@ -70,8 +64,8 @@ def filter_drive(
 
 def rmse(means: FloatArray, drive: Drive) -> FloatArray:
     error = means - drive.truth
-    error[..., 2] = np.arctan2(np.sin(error[..., 2]), np.cos(error[..., 2]))
-    mean_square: FloatArray = np.mean(error**2, axis=(0, 1))
+    error[:, 2] = np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2]))
+    mean_square: FloatArray = np.mean(error**2, axis=(0, 2))
     return np.sqrt(mean_square)
 
 
@@ -89,12 +83,12 @@ def test_mode_r_finds_the_true_noise_from_a_start_wrong_by_25(
     )
     means, noises, last, _ = filter_drive(model, drive)
     # The rule keeps moving R by tens of percent; where it settles is its mean over time and runs.
-    settled = np.mean(noises[300:], axis=(0, 1))
+    settled = np.mean(noises[300:], axis=(0, 2))
     ratio = settled[:3] / TRUE_R[:3]
     assert np.all((ratio < 1.5) & (ratio > 1.0 / 1.5)), ratio
-    typical = np.median(noises[300:], axis=(0, 1))[:3] / TRUE_R[:3]
+    typical = np.median(noises[300:], axis=(0, 2))[:3] / TRUE_R[:3]
     assert np.all((typical < 1.5) & (typical > 1.0 / 1.5)), typical
-    assert np.all(last.measurement_noise[:, 3] == wrong * TRUE_R[3])
+    assert np.all(last.measurement_noise[3] == wrong * TRUE_R[3])
     assert np.all(np.isfinite(means))
 
 
@@ -138,11 +132,11 @@ def test_centroid_keeps_the_filter_sound(
         process_noise=tuple(TRUE_Q), measurement_noise=tuple(TRUE_R), adaptation=adaptation
     )
     means, noises, last, result = filter_drive(model, short)
-    assert np.any(last.measurement_noise != np.array(TRUE_R)) == ("r" in mode)
-    assert np.any(last.process_noise != np.array(TRUE_Q)) == ("q" in mode)
+    assert np.any(last.measurement_noise != TRUE_R[:, None]) == ("r" in mode)
+    assert np.any(last.process_noise != TRUE_Q[:, None]) == ("q" in mode)
     assert np.all((noises >= 1e-8) & (noises <= 1e2))
     assert np.all((last.process_noise >= 1e-8) & (last.process_noise <= 1e2))
-    np.linalg.cholesky(last.covariance)
+    np.linalg.cholesky(np.moveaxis(last.covariance, -1, 0))
     assert np.all(rmse(means, short) < 0.5)
     assert np.all(np.isfinite(result.nis))
 
@@ -157,5 +151,5 @@ def test_mode_q_of_the_published_set_stays_near_the_plain_filter(
     )
     ratio = rmse(adaptive, drive) / rmse(plain, drive)
     assert np.all(ratio < 1.5), ratio
-    assert np.all(noises == TRUE_R)
-    assert np.any(last.process_noise != TRUE_Q)
+    assert np.all(noises == TRUE_R[:, None])
+    assert np.any(last.process_noise != TRUE_Q[:, None])

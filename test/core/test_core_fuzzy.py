@@ -17,7 +17,7 @@ from fnn_ekf_ros.core.fuzzy import (
 
 PROPERTY = settings(derandomize=True, deadline=None, database=None, max_examples=200)
 
-# Rules in the order of the results' last axis.
+# Rules in the order of the results' first axis.
 INCREASE, MAINTAIN, DECREASE = 0, 1, 2
 
 MISMATCH = st.one_of(
@@ -106,9 +106,9 @@ def test_initial_set_decreases_crisply_and_increases_as_much_as_is_missing(
 ) -> None:
     mismatch = np.array([1e5, 1e3, 0.0, -1e3, -1e5])
     result = infer(initial, mismatch)
-    np.testing.assert_array_equal(result.consequent[..., DECREASE], -100.0)
-    np.testing.assert_allclose(result.consequent[..., MAINTAIN], 0.03, rtol=1e-15)
-    np.testing.assert_allclose(result.consequent[..., INCREASE], 10.0 - mismatch, rtol=1e-12)
+    np.testing.assert_array_equal(result.consequent[DECREASE], -100.0)
+    np.testing.assert_allclose(result.consequent[MAINTAIN], 0.03, rtol=1e-15)
+    np.testing.assert_allclose(result.consequent[INCREASE], 10.0 - mismatch, rtol=1e-12)
     np.testing.assert_allclose(result.change[:2], -100.0, rtol=1e-12)
     np.testing.assert_allclose(result.change[3:], [1010.0, 100_010.0], rtol=1e-12)
 
@@ -181,8 +181,8 @@ def test_nearest_set_decides_where_none_fires() -> None:
     sets = steep_sets_with_a_gap()
     mismatch = np.array([-50.0, 50.0])
     result = infer(sets, mismatch)
-    np.testing.assert_array_equal(result.firing_strength, np.zeros((2, 3)))
-    np.testing.assert_array_equal(result.normalized_firing, [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(result.firing_strength, np.zeros((3, 2)))
+    np.testing.assert_array_equal(result.normalized_firing, [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     np.testing.assert_array_equal(result.change, [50.0 - 5000.0, -50.0 + 5000.0])
 
 
@@ -230,7 +230,7 @@ def numeric_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
             infer(FuzzySets(*above), mismatch).change - infer(FuzzySets(*below), mismatch).change
         )
         columns.append(difference / (2.0 * h))
-    return np.stack(columns, axis=-1)
+    return np.stack(columns)
 
 
 @PROPERTY
@@ -249,8 +249,8 @@ def test_gradient_near_every_set_equals_central_differences(published: FuzzySets
     D = np.concatenate([np.linspace(-0.25, 0.15, 41), np.linspace(-60.0, 60.0, 41)])
     gradient = infer_gradient(published, D)
     np.testing.assert_allclose(gradient, numeric_gradient(published, D), rtol=1e-5, atol=1e-5)
-    assert gradient.shape == (82, 12)
-    assert np.all(np.max(np.abs(gradient), axis=0) > 1e-2)
+    assert gradient.shape == (12, 82)
+    assert np.all(np.max(np.abs(gradient), axis=1) > 1e-2)
 
 
 def test_gradient_of_the_initial_set_equals_central_differences(initial: FuzzySets) -> None:
@@ -258,10 +258,10 @@ def test_gradient_of_the_initial_set_equals_central_differences(initial: FuzzySe
     D = np.concatenate([np.linspace(-0.2, 0.1, 31), np.linspace(-60.0, 60.0, 31)])
     gradient, numeric = infer_gradient(initial, D), numeric_gradient(initial, D)
     decrease_slope = FuzzySets._fields.index("decrease_slope")
-    np.testing.assert_array_equal(gradient[:, decrease_slope], 0.0)
-    numeric[:, decrease_slope] = 0.0
+    np.testing.assert_array_equal(gradient[decrease_slope], 0.0)
+    numeric[decrease_slope] = 0.0
     np.testing.assert_allclose(gradient, numeric, rtol=1e-5, atol=1e-5)
-    assert np.any(gradient[:, FuzzySets._fields.index("maintain_width")] != 0.0)
+    assert np.any(gradient[FuzzySets._fields.index("maintain_width")] != 0.0)
 
 
 def test_one_step_down_the_gradient_lowers_the_training_error(published: FuzzySets) -> None:
@@ -269,7 +269,7 @@ def test_one_step_down_the_gradient_lowers_the_training_error(published: FuzzySe
     D = np.linspace(-100.0, 100.0, 41)
     wanted = -0.7 * D
     error = infer(published, D).change - wanted
-    descent = np.mean(error[:, None] * infer_gradient(published, D), axis=0)
+    descent = np.mean(error * infer_gradient(published, D), axis=1)
     stepped = FuzzySets(*(np.array(published) - 1e-9 * descent))
     after = infer(stepped, D).change - wanted
     assert np.mean(after**2) < np.mean(error**2)
@@ -354,11 +354,14 @@ def test_batches_equal_one_by_one(either_set: FuzzySets) -> None:
     D = np.random.default_rng(30).uniform(-40.0, 40.0, (3, 4))
     together, centroid = infer(either_set, D), infer_centroid(either_set, D, 500.0)
     gradient = infer_gradient(either_set, D)
+    assert gradient.shape == (12, 3, 4)
+    for results in (together, centroid):
+        assert [part.shape for part in results] == [(3, 4), (3, 3, 4), (3, 3, 4), (3, 3, 4)]
     for i in np.ndindex(3, 4):
         for results, alone in (
             (together, infer(either_set, D[i])),
             (centroid, infer_centroid(either_set, D[i], 500.0)),
         ):
             for one, other in zip(results, alone, strict=True):
-                np.testing.assert_allclose(one[i], other, rtol=1e-12, atol=1e-300)
-        np.testing.assert_allclose(gradient[i], infer_gradient(either_set, D[i]), rtol=1e-10)
+                np.testing.assert_allclose(one[..., *i], other, rtol=1e-12, atol=1e-300)
+        np.testing.assert_allclose(gradient[:, *i], infer_gradient(either_set, D[i]), rtol=1e-10)

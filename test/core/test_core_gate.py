@@ -12,18 +12,16 @@ from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.chi_square import exceeded_with, upper_tail
-from fnn_ekf_ros.core.filter import (
-    FilterModel,
-    FilterState,
-    StepInput,
-    StepResult,
-    start_filter,
-    step,
-)
+from fnn_ekf_ros.core.filter import Epoch, FilterModel, FilterState, StepResult, step
 from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, OPEN_GATE, gate_for, start_gate
+from fnn_ekf_ros.core.joint import JointState
+from fnn_ekf_ros.core.joint_filters import SETTLED
 from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.core.state import start_filter
 
 MODES = ("none", "r", "q", "joint")
+PAPER_MODES = ("none", "r", "q", "rq")
+EVERYTHING = ("mean", "covariance", "process_noise", "measurement_noise")
 GATE = gate_for(1e-6, 1e-6)
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
 Q, R = np.array([4e-4, 3.046e-4]), np.array([0.01, 0.01, 0.018, 0.018])
@@ -31,8 +29,12 @@ Make = Callable[..., Any]
 
 
 def drive(
-    seed: int, steps: int, noise_scale: float = 1.0, rows: tuple[int, ...] = (0, 1, 2)
-) -> tuple[FloatArray, list[StepInput]]:
+    seed: int,
+    steps: int,
+    noise_scale: float = 1.0,
+    rows: tuple[int, ...] = (0, 1, 2),
+    duration_s: float = 0.375,
+) -> tuple[FloatArray, list[Epoch]]:
     """Truth `(steps + 1, 3)` of a robot on a wavy way, and what it brings each period."""
     rng = np.random.default_rng(seed)
     pose = np.array([0.0, 0.0, 0.0])
@@ -45,23 +47,23 @@ def drive(
         pose = pose + displacement(MotionModel.EXACT_ARC, pose[2], true_control)
         z = pose[[0, 1, 2, 2]] + noise_scale * np.sqrt(R) * rng.standard_normal(4)
         truth.append(pose)
-        periods.append(StepInput(control, z, available.copy()))
+        periods.append(Epoch(control, duration_s, z, available.copy()))
     return np.array(truth), periods
 
 
 def run(
-    model: FilterModel, periods: list[StepInput], start: FilterState | None = None
+    model: FilterModel, periods: list[Epoch], start: FilterState | None = None
 ) -> tuple[list[FilterState], list[StepResult]]:
     state = start_filter(model, np.zeros(3), START_COVARIANCE) if start is None else start
     states, results = [], []
     for period in periods:
-        state, result = step(model, state, period)
+        state, result = step(model, state, [period])
         states.append(state)
         results.append(result)
     return states, results
 
 
-def moved(periods: list[StepInput], at: slice, by: FloatArray) -> list[StepInput]:
+def moved(periods: list[Epoch], at: slice, by: FloatArray) -> list[Epoch]:
     """The periods with the measurements of some of them moved."""
     found = list(periods)
     for i in range(*at.indices(len(periods))):
@@ -119,6 +121,20 @@ def test_a_gate_that_rejects_nothing_changes_no_bit(
         assert a.measurement_noise.tobytes() == b.measurement_noise.tobytes()
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_an_open_gate_remembers_nothing(model: Callable[..., FilterModel], mode: str) -> None:
+    """Whatever is read; one that rejects fixes only remembers the compass, too."""
+    _, periods = drive(1, 40)
+    far = moved(periods, slice(20, 30), np.array([20.0, 5.0, 2.0, 0.0]))
+    states, results = run(model(mode, OPEN_GATE), far)
+    assert not np.any([result.rejected for result in results])
+    for state in states:
+        for kept, at_start in zip(state.gate, start_gate(), strict=True):
+            np.testing.assert_array_equal(kept, at_start)
+    states, _ = run(model(mode, gate_for(0.0, 1e-6)), far)
+    assert np.all(states[20].gate.spread > 1.0)
+
+
 @pytest.mark.parametrize("chance", [0.01, 0.1])
 def test_right_readings_are_rejected_as_often_as_was_asked_for(
     model: Callable[..., FilterModel], chance: float
@@ -129,35 +145,96 @@ def test_right_readings_are_rejected_as_often_as_was_asked_for(
     state = start_filter(model_, np.zeros(3), START_COVARIANCE)
     rejected = []
     for period in periods:
-        _, result = step(model_, state._replace(gate=start_gate()), period)
-        state, _ = step(dataclasses.replace(model_, gate=OPEN_GATE), state, period)
+        _, result = step(model_, state._replace(gate=start_gate()), [period])
+        state, _ = step(dataclasses.replace(model_, gate=OPEN_GATE), state, [period])
         rejected.append(result.rejected)
     share = np.mean(rejected, axis=0)
     sigma = math.sqrt(chance * (1.0 - chance) / len(periods))
     np.testing.assert_allclose(share, chance, atol=4.5 * sigma)
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize(
-    ("by", "rows"), [([20.0, 0.0, 0.0, 0.0], [0, 1]), ([0.0, 0.0, 3.0, 0.0], [2])]
-)
-def test_a_lone_wild_reading_does_what_a_missing_one_does(
-    model: Callable[..., FilterModel], mode: str, by: list[float], rows: list[int]
-) -> None:
-    """Bit for bit, for ever after: pose, covariance and noise."""
-    _, periods = drive(3, 160)
-    wild = moved(periods, slice(80, 81), np.array(by))
-    missing = list(periods)
-    available = periods[80].available.copy()
-    available[rows] = False
-    missing[80] = periods[80]._replace(available=available)
-    a, results = run(model(mode), wild)
-    b, _ = run(model(mode), missing)
+def assert_same(one: FilterState, other: FilterState, names: tuple[str, ...]) -> None:
+    for name in names:
+        assert np.asarray(getattr(one, name)).tobytes() == getattr(other, name).tobytes(), name
+
+
+def joint_of(state: FilterState) -> JointState:
+    assert state.joint is not None
+    return state.joint
+
+
+FIX_OUTLIER = ([20.0, 0.0, 0.0, 0.0], [0, 1])
+COMPASS_OUTLIER = ([0.0, 0.0, 3.0, 0.0], [2])
+
+
+def outliers_or_missing(
+    model: FilterModel, seed: int, at: list[int], by: list[float], rows: list[int]
+) -> tuple[list[FilterState], list[FilterState]]:
+    """Return the states with outliers in some periods, and with these readings missing.
+
+    All outliers are rejected and teach nothing; no other reading of their sensor is rejected.
+    """
+    _, periods = drive(seed, at[-1] + 80)
+    wrong, missing = periods, list(periods)
+    for t in at:
+        wrong = moved(wrong, slice(t, t + 1), np.array(by))
+        available = periods[t].available.copy()
+        available[rows] = False
+        missing[t] = periods[t]._replace(available=available)
+    states, results = run(model, wrong)
     sensor = COMPASS if rows == [2] else LRF_POSE
-    assert [bool(r.rejected[sensor]) for r in results[79:82]] == [False, True, False]
-    for one, other in zip(a, b, strict=True):
-        for field in ("mean", "covariance", "process_noise", "measurement_noise"):
-            assert getattr(one, field).tobytes() == getattr(other, field).tobytes()
+    assert [t for t, result in enumerate(results) if result.rejected[sensor]] == at
+    for t in at:
+        assert not np.any(results[t].shown[0].teaches[rows])
+    return states, run(model, missing)[0]
+
+
+@pytest.mark.parametrize("mode", PAPER_MODES)
+@pytest.mark.parametrize(("by", "rows"), [FIX_OUTLIER, COMPASS_OUTLIER])
+@pytest.mark.parametrize("at", [[80], [60, 62], [60, 63], [60, 67]], ids=str)
+def test_outliers_have_the_effect_of_missing_readings(
+    model: Callable[..., FilterModel], mode: str, by: list[float], rows: list[int], at: list[int]
+) -> None:
+    """Bit for bit, for ever after: pose, covariance, noise and innovations; one, or two apart."""
+    for one, other in zip(*outliers_or_missing(model(mode), 3, at, by, rows), strict=True):
+        assert_same(one, other, EVERYTHING)
+        assert one.window.squares.tobytes() == other.window.squares.tobytes()
+
+
+@pytest.mark.parametrize(("by", "rows"), [FIX_OUTLIER, COMPASS_OUTLIER])
+@pytest.mark.parametrize("at", [[80], [60, 62], [60, 63], [60, 67]], ids=str)
+@pytest.mark.parametrize("seed", [3, 13])
+def test_in_mode_joint_outliers_have_the_effect_of_missing_readings_but_for_the_memory(
+    model: Callable[..., FilterModel], by: list[float], rows: list[int], at: list[int], seed: int
+) -> None:
+    """Pose and covariance are the same bit for bit right after the outlier, the rest is close.
+
+    A rejected reading counts for how fast what was learned of its sensor's noise fades, a missing
+    one does not. So the learners' log variances differ, by less than 0.005 at once and by less
+    than 0.04 later (measured: 0.0036 and 0.035), and the noise in use by less than 1 %.
+    """
+    states, missing = outliers_or_missing(model("joint"), seed, at, by, rows)
+    first = at[0]
+    for t in range(first):
+        assert_same(states[t], missing[t], EVERYTHING)
+    assert_same(states[first], missing[first], ("mean", "covariance"))
+    memory = joint_of(states[first]).memory - joint_of(missing[first]).memory
+    informed_by_sensor = [0, 2] if rows == [0, 1] else [3]
+    np.testing.assert_array_less(0.0, memory[informed_by_sensor, SETTLED])
+    assert np.all(memory >= 0.0)
+    apart = np.array(
+        [
+            np.max(np.abs(joint_of(one).log_scale - joint_of(other).log_scale))
+            for one, other in zip(states, missing, strict=True)
+        ]
+    )
+    assert apart[first] < 0.005
+    assert np.max(apart) < 0.04
+    for one, other in zip(states, missing, strict=True):
+        for name in ("process_noise", "measurement_noise"):
+            ratio = getattr(one, name) / getattr(other, name)
+            np.testing.assert_allclose(ratio, 1.0, rtol=0.0, atol=0.01)
+        np.testing.assert_allclose(one.mean, other.mean, rtol=0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -188,7 +265,7 @@ def test_a_fast_sensor_that_is_wrong_for_a_moment_moves_nothing(
 ) -> None:
     """At 50 ms eight readings are 0.4 s: fixes off for 2.5 s are no place, for 3 s they are."""
     fast = model("none", period_s=0.05)
-    truth, periods = drive(10, 400)
+    truth, periods = drive(10, 400, duration_s=0.05)
     by = np.array([3.0, 0.0, 0.0, 0.0])
     states, results = run(fast, moved(periods, slice(100, 150), by))
     assert not np.any([result.relocated for result in results])
@@ -197,22 +274,6 @@ def test_a_fast_sensor_that_is_wrong_for_a_moment_moves_nothing(
     relocated = [t for t, result in enumerate(results) if result.relocated]
     assert len(relocated) == 1
     assert 100 + 58 <= relocated[0] <= 100 + 64
-
-
-@pytest.mark.parametrize("apart", [2, 3, 7])
-def test_the_second_of_two_wild_readings_that_are_apart_teaches_nothing(
-    model: Callable[..., FilterModel], apart: int
-) -> None:
-    _, periods = drive(11, 120)
-    missing = list(periods)
-    wild = periods
-    for t in (60, 60 + apart):
-        wild = moved(wild, slice(t, t + 1), np.array([20.0, 0.0, 0.0, 0.0]))
-        only_yaw = np.array([False, False, True, False])
-        missing[t] = periods[t]._replace(available=only_yaw)
-    a, _ = run(model("joint"), wild)
-    b, _ = run(model("joint"), missing)
-    assert a[-1].measurement_noise.tobytes() == b[-1].measurement_noise.tobytes()
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
@@ -238,14 +299,14 @@ def test_a_compass_without_fixes_beside_it_decides_nothing(
     model: Callable[..., FilterModel],
 ) -> None:
     only_yaw = np.array([False, False, True, False])
-    still = [StepInput(np.zeros(2), np.zeros(4), only_yaw)] * 200
+    still = [Epoch(np.zeros(2), 0.375, np.zeros(4), only_yaw)] * 200
     _, results = run(model("none"), moved(still, slice(60, None), np.array([0.0, 0.0, 2.0, 0.0])))
     assert not np.any([result.relocated for result in results])
 
 
 def test_a_robot_turned_by_hand_is_found_by_the_compass(model: Callable[..., FilterModel]) -> None:
     """At a standstill, where fixes say nothing of it; a fix every third period."""
-    still = StepInput(np.zeros(2), np.zeros(4), np.array([True, True, True, False]))
+    still = Epoch(np.zeros(2), 0.375, np.zeros(4), np.array([True, True, True, False]))
     no_fix = still._replace(available=np.array([False, False, True, False]))
     before = [still if t % 3 == 0 else no_fix for t in range(60)]
     turned = moved(before, slice(0, None), np.array([0.0, 0.0, 2.0, 0.0]))
@@ -318,10 +379,11 @@ def test_each_robot_of_a_batch_has_a_gate_of_its_own(
         moved(periods, slice(30, None), np.array([20.0, 5.0, 1.5, 0.0])),
     ]
     together = [
-        StepInput(
-            np.stack([robot[t].control for robot in robots]),
-            np.stack([robot[t].measurement for robot in robots]),
-            np.stack([robot[t].available for robot in robots]),
+        Epoch(
+            np.stack([robot[t].control for robot in robots], axis=-1),
+            0.375,
+            np.stack([robot[t].measurement for robot in robots], axis=-1),
+            np.stack([robot[t].available for robot in robots], axis=-1),
         )
         for t in range(60)
     ]
@@ -331,5 +393,7 @@ def test_each_robot_of_a_batch_has_a_gate_of_its_own(
     for i, robot in enumerate(robots):
         alone, _ = run(model(mode), robot)
         for one, other in zip(states, alone, strict=True):
-            np.testing.assert_allclose(one.mean[i], other.mean, rtol=1e-10, atol=1e-12)
-            np.testing.assert_allclose(one.measurement_noise[i], other.measurement_noise, rtol=1e-9)
+            np.testing.assert_allclose(one.mean[:, i], other.mean, rtol=1e-10, atol=1e-12)
+            np.testing.assert_allclose(
+                one.measurement_noise[:, i], other.measurement_noise, rtol=1e-9
+            )

@@ -1,6 +1,7 @@
 """Mode `joint`, exactly: what one period does to what was learned, and what it must not do."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,20 +17,14 @@ from fnn_ekf_ros.core.evidence import (
     STAR,
     TAIL_DEGREES_OF_FREEDOM,
 )
-from fnn_ekf_ros.core.filter import (
-    FilterModel,
-    FilterState,
-    StepInput,
-    StepResult,
-    reset_pose,
-    start_filter,
-    step,
-)
+from fnn_ekf_ros.core.filter import Epoch, FilterModel, FilterState, StepResult, step
 from fnn_ekf_ros.core.fuzzy import infer
+from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.joint import (
     ALARM_MEMORY,
     HYPOTHESES,
     LONGEST_MEMORY,
+    MEMORY_GROWTH,
     PRIOR_INFORMATION,
     SLIP,
     STANDSTILL,
@@ -37,7 +32,8 @@ from fnn_ekf_ros.core.joint import (
     JointState,
     noise_in_use,
 )
-from fnn_ekf_ros.core.motion import move
+from fnn_ekf_ros.core.motion import displacement
+from fnn_ekf_ros.core.state import JOINT, reset_pose, start_filter, with_noise
 
 MakeModel = Callable[..., FilterModel]
 MakeAdaptation = Callable[..., Adaptation]
@@ -46,6 +42,7 @@ NO_ROWS = np.zeros(4, dtype=np.bool_)
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
 SETTLED, FAST = 0, 1
 SCALE_OF_ROW = [2, 2, 3, 3]
+PERIOD_S = 0.375
 LEARNED = ("log_scale", "information", "memory", "start_weight")
 
 
@@ -59,19 +56,31 @@ def belief(result: StepResult) -> JointReport:
     return result.joint
 
 
-def random_periods(rng: np.random.Generator, steps: int, plain: bool = False) -> list[StepInput]:
-    """Around the origin, unless plain with late and reported measurements and gaps."""
+def at_end(
+    control: FloatArray, z: FloatArray, rows: FloatArray, duration_s: float = PERIOD_S
+) -> list[Epoch]:
+    """Return a period with readings at its end only."""
+    return [Epoch(np.asarray(control), duration_s, np.asarray(z), rows.astype(np.bool_))]
+
+
+def random_periods(rng: np.random.Generator, steps: int, plain: bool = False) -> list[list[Epoch]]:
+    """Around the origin, unless plain with readings in between, reported covariances and gaps."""
     periods = []
     for _ in range(steps):
         control = rng.uniform([0.05, -0.3], [0.3, 0.3])
         z = rng.normal(0.0, 0.3, 4)
         if plain:
-            periods.append(StepInput(control, z, ALL_ROWS))
+            periods.append(at_end(control, z, ALL_ROWS))
             continue
-        root = 0.1 * rng.standard_normal((4, 4))
-        at = rng.random((4, 1)) * control
-        reported = root @ root.T + 0.01 * np.eye(4)
-        periods.append(StepInput(control, z, rng.random(4) < 0.6, at, reported))
+        root = 0.1 * rng.standard_normal((3, 3))
+        reported = root @ root.T + 0.01 * np.eye(3)
+        part = rng.random()
+        periods.append(
+            [
+                Epoch(share * control, share * PERIOD_S, z, rng.random(4) < 0.6, reported)
+                for share in (part, 1.0 - part)
+            ]
+        )
     return periods
 
 
@@ -119,7 +128,7 @@ def without_lead(state: FilterState, model: FilterModel) -> FilterState:
     assert state.joint is not None
     joint = state.joint._replace(lead=np.zeros_like(state.joint.lead))
     Q, R = noise_in_use(joint, model.adaptation.bounds)
-    return state._replace(process_noise=Q, measurement_noise=R, joint=joint)
+    return with_noise(model, state._replace(joint=joint), Q, R)
 
 
 def test_disabled_in_an_alarm_it_calms_down(model: FilterModel, holding: FilterModel) -> None:
@@ -138,7 +147,8 @@ def test_disabled_later_it_holds_what_it_has_learned(
     model: FilterModel, holding: FilterModel
 ) -> None:
     state = without_lead(trained(model), model)
-    joint, before = learned(state)
+    _, before = learned(state)
+    before_mean = state.bank.mean[:, JOINT]
     Q, R = state.process_noise.copy(), state.measurement_noise.copy()
     assert not np.any(np.equal(Q, model.process_noise))
     for period in random_periods(np.random.default_rng(92), 50):
@@ -147,11 +157,12 @@ def test_disabled_later_it_holds_what_it_has_learned(
         assert state.measurement_noise.tobytes() == R.tobytes()
         assert not np.any(result.firing_strength)
         assert not np.any(belief(result).explained)
-    after, unchanged = learned(state)
+    _, unchanged = learned(state)
     assert unchanged == before
     # Its filters have moved on: learning goes on from where the robot is.
-    assert np.max(np.abs(after.mean[1:] - state.mean)) < 0.5
-    assert np.all(after.mean != joint.mean)
+    mean = state.bank.mean[:, JOINT]
+    assert np.max(np.abs(mean - state.mean[:, None])) < 1.5
+    assert np.all(mean != before_mean)
 
 
 STILL = np.array(STANDSTILL)
@@ -175,7 +186,7 @@ def test_only_a_robot_that_moves_and_is_measured_learns(
 ) -> None:
     state = trained(model)
     before, expected = learned(state)
-    period = StepInput(np.asarray(control), np.array([0.4, -0.4, 0.3, 0.3]), rows.astype(np.bool_))
+    period = at_end(np.asarray(control), np.array([0.4, -0.4, 0.3, 0.3]), rows)
     state, result = step(model, state, period)
     after, got = learned(state)
     if teaches:
@@ -199,48 +210,64 @@ def test_standstill_is_judged_by_the_speed(
         model = make_model(period_s=period_s, adaptation=make_adaptation(mode="joint"))
         state = trained(model)
         _, before = learned(state)
-        state, _ = step(model, state, StepInput(2.0 * STILL, np.full(4, 0.2), ALL_ROWS))
+        period = at_end(2.0 * STILL, np.full(4, 0.2), ALL_ROWS, period_s)
+        state, _ = step(model, state, period)
         assert (learned(state)[1] != before) == teaches
+
+
+def test_a_robot_that_stands_learns_nothing_after_a_rejected_reading_either(
+    model: FilterModel,
+) -> None:
+    """The way of two periods is not judged as the way of one."""
+    gated = dataclasses.replace(model, gate=gate_for(1e-6, 1e-6))
+    state = trained(model)
+    z = state.mean[[0, 1, 2, 2]]
+    for wild in (True, False):
+        _, before = learned(state)
+        period = at_end(0.9 * STILL, z + wild * np.array([99.0, 99.0, 3.0, 3.0]), ALL_ROWS)
+        state, result = step(gated, state, period)
+        assert np.all(result.rejected == wild)
+        assert learned(state)[1] == before
 
 
 def test_robots_of_a_batch_learn_each_for_itself(model: FilterModel) -> None:
     """Drives and is measured, drives unseen, stands."""
     state = start_filter(model, np.zeros((3, 3)), START_COVARIANCE)
-    control = np.array([[0.1, 0.1], [0.1, 0.1], [0.0, 0.0]])
-    rows = np.array([ALL_ROWS, NO_ROWS, ALL_ROWS])
+    control = np.array([[0.1, 0.1, 0.0], [0.1, 0.1, 0.0]])
+    rows = np.stack([ALL_ROWS, NO_ROWS, ALL_ROWS], axis=-1)
     for _ in range(5):
-        state, result = step(model, state, StepInput(control, np.full((3, 4), 0.5), rows))
+        state, result = step(model, state, at_end(control, np.full((4, 3), 0.5), rows))
     joint, _ = learned(state)
-    assert np.all(joint.log_scale[0] != 0.0)
-    assert np.all(joint.log_scale[1:] == 0.0)
+    assert np.all(joint.log_scale[..., 0] != 0.0)
+    assert np.all(joint.log_scale[..., 1:] == 0.0)
     np.testing.assert_array_equal(joint.forecast_count, [2.0, 0.0, 2.0])
-    assert np.any(result.firing_strength[0])
-    assert not np.any(result.firing_strength[1:])
+    assert np.any(result.firing_strength[..., 0])
+    assert not np.any(result.firing_strength[..., 1:])
 
 
 def test_new_pose_keeps_what_was_learned_and_clears_the_forecasts(model: FilterModel) -> None:
     state = trained(model)
     before, expected = learned(state)
     pose, covariance = np.array([7.0, 8.0, 0.9]), 0.02 * np.eye(3)
-    state = reset_pose(state, pose, covariance)
+    state = reset_pose(model, state, pose, covariance)
     after, got = learned(state)
     assert got == expected
     assert after.lead.tobytes() == before.lead.tobytes()
     assert after.forecast_count == 0.0
-    for mean in (after.mean, after.forecast_mean):
-        np.testing.assert_array_equal(mean, np.broadcast_to(pose, mean.shape))
-    for matrix in (after.covariance, after.forecast_covariance):
-        np.testing.assert_array_equal(matrix, np.broadcast_to(covariance, matrix.shape))
+    mean, matrix = state.bank
+    assert mean.shape == (3, model.layout.steady.stop)
+    np.testing.assert_array_equal(mean.T, np.broadcast_to(pose, mean.T.shape))
+    np.testing.assert_array_equal(matrix.T, np.broadcast_to(covariance, matrix.T.shape))
     # Forecasts that are two measurements old have to be made anew.
     for i in range(4):
         keep, _ = learned(state)
-        settled, fast = keep.log_scale
-        period = StepInput(np.array([0.1, 0.1]), pose[[0, 1, 2, 2]] + 0.1, ALL_ROWS)
+        settled, fast = keep.log_scale.T
+        period = at_end(np.array([0.1, 0.1]), pose[[0, 1, 2, 2]] + 0.1, ALL_ROWS)
         state, _ = step(model, state, period)
         joint, _ = learned(state)
-        assert np.any(joint.log_scale[SETTLED] != settled) == (i >= 2)
+        assert np.any(joint.log_scale[:, SETTLED] != settled) == (i >= 2)
         assert (joint.start_weight != keep.start_weight) == (i >= 2)
-        assert np.all(joint.log_scale[FAST] != fast)
+        assert np.all(joint.log_scale[:, FAST] != fast)
 
 
 @pytest.mark.parametrize("altered", [1, 2, 3])
@@ -253,22 +280,22 @@ def test_settled_learner_looks_past_the_last_measurement(model: FilterModel, alt
     for shift in (0.0, 0.4):
         state = before
         for i, period in enumerate(periods):
-            other = period._replace(measurement=period.measurement + shift)
+            other = [epoch._replace(measurement=epoch.measurement + shift) for epoch in period]
             chosen = other if i == len(periods) - altered else period
             keep, _ = learned(state)
+            Q, R = state.process_noise, state.measurement_noise
             state, _ = step(model, state, chosen)
             # What was learned on the way is set back: only the forecasts may tell.
             joint, _ = learned(state)
-            state = state._replace(
-                joint=joint._replace(log_scale=keep.log_scale, information=keep.information)
-            )
+            joint = joint._replace(log_scale=keep.log_scale, information=keep.information)
+            state = with_noise(model, state._replace(joint=joint), Q, R)
         last, result = step(model, state, now)
         after.append(belief(result).explained)
         informations.append(learned(last)[0].information)
     assert (after[0].tobytes() == after[1].tobytes()) == (altered == 1)
-    settled = [information[SETTLED] for information in informations]
+    settled = [information[..., SETTLED] for information in informations]
     assert (settled[0].tobytes() == settled[1].tobytes()) == (altered == 1)
-    assert np.all(informations[0][FAST] != informations[1][FAST])
+    assert np.all(informations[0][..., FAST] != informations[1][..., FAST])
 
 
 class Scalar(NamedTuple):
@@ -307,15 +334,17 @@ def test_turning_on_the_spot_equals_scalar_filters(model: FilterModel) -> None:
     checked = 0
     for i in range(120):
         joint, _ = learned(state)
-        turn, measured = 0.1 * (-1.0) ** (i // 3), rng.random() < 0.7
+        turn, measured = 0.1 * (-1.0) ** (i // 3) + 0.013, rng.random() < 0.7
         z = stars[FAST].heading[0] + turn + rng.normal(0.0, 0.4)
         rows = np.array([False, False, measured, False])
-        offsets = {k: np.vstack([np.zeros(4), joint.log_scale[k] + STAR]) for k in (SETTLED, FAST)}
+        offsets = {
+            k: np.vstack([np.zeros(4), joint.log_scale[:, k] + STAR.T]) for k in (SETTLED, FAST)
+        }
         q = {k: model.process_noise[1] * np.exp(offsets[k][:, 1]) for k in offsets}
         r = {k: model.measurement_noise[2] * np.exp(offsets[k][:, 3]) for k in offsets}
         stars = {k: predicted(stars[k], turn, q[k]) for k in stars}
         snapshots = [predicted(star, turn, q[SETTLED]) for star in snapshots]
-        state, result = step(model, state, StepInput(np.array([0.0, turn]), np.full(4, z), rows))
+        state, result = step(model, state, at_end(np.array([0.0, turn]), np.full(4, z), rows))
         after, _ = learned(state)
         if not measured:
             continue
@@ -330,15 +359,19 @@ def test_turning_on_the_spot_equals_scalar_filters(model: FilterModel) -> None:
                 assert odds == pytest.approx(apart[0] - apart[1], abs=0.01)
         for k, star in sources.items():
             score, seen = evidence_of(Scalar(star.heading[1:], star.variance[1:]), z, r[k][1:])
-            N = joint.memory[k]
-            information = (1.0 - 1.0 / N) * joint.information[k] + seen + PRIOR_INFORMATION / N
-            np.testing.assert_allclose(after.information[k], information, rtol=0.0, atol=1e-8)
+            # The compass informs heading and yaw; what is known of the others does not fade.
+            N, informed = joint.memory[:, k], np.array([False, True, False, True])
+            fade = np.where(informed, np.sqrt(1.0 - 1.0 / N), 1.0)
+            known = joint.information[..., k] - PRIOR_INFORMATION
+            information = np.outer(fade, fade) * known + PRIOR_INFORMATION + seen
+            np.testing.assert_allclose(after.information[..., k], information, rtol=0.0, atol=1e-8)
             u = np.linalg.solve(information, score)
             if k == SETTLED:
                 np.testing.assert_allclose(belief(result).explained, u, rtol=0.0, atol=1e-9)
-            moved = joint.log_scale[k] + infer(model.adaptation.networks.joint.sets, -u).change
-            np.testing.assert_allclose(after.log_scale[k], moved, rtol=0.0, atol=1e-9)
-            assert N <= after.memory[k] <= LONGEST_MEMORY[k]
+            moved = joint.log_scale[:, k] + infer(model.adaptation.networks.joint.sets, -u).change
+            np.testing.assert_allclose(after.log_scale[:, k], moved, rtol=0.0, atol=1e-9)
+            grown = np.minimum(N + MEMORY_GROWTH * informed, LONGEST_MEMORY[k])
+            np.testing.assert_array_equal(after.memory[:, k], grown)
         for k, star in stars.items():
             gain = star.variance / (star.variance + r[k])
             stars[k] = Scalar(
@@ -355,15 +388,16 @@ def test_noise_in_use_is_the_start_times_the_weighted_scales(model: FilterModel)
     for i in range(300):
         control = rng.uniform([0.05, -0.3], [0.3, 0.3])
         spread = np.sqrt(model.process_noise) * (20.0 if 60 <= i < 70 else 1.0)
-        truth = move(model.motion_model, truth, control + spread * rng.standard_normal(2)).mean
+        driven = control + spread * rng.standard_normal(2)
+        truth = truth + displacement(model.motion_model, truth[2], driven)
         noise = np.sqrt(model.measurement_noise) * (10.0 if i >= 120 else 1.0)
         z = truth[[0, 1, 2, 2]] + noise * rng.standard_normal(4)
-        state, result = step(model, state, StepInput(control, z, ALL_ROWS))
+        state, result = step(model, state, at_end(control, z, ALL_ROWS))
         weights, joint = belief(result).weights, learned(state)[0]
         assert np.sum(weights) == pytest.approx(1.0, abs=1e-12)
         assert np.min(weights) >= 0.0
         dominant.add(HYPOTHESES[int(np.argmax(weights))])
-        settled, fast = joint.log_scale
+        settled, fast = joint.log_scale.T
         theta = weights[1:] @ np.array([settled, fast, settled + SLIP])
         np.testing.assert_allclose(belief(result).log_scale, theta, rtol=0.0, atol=1e-12)
         Q, R = np.exp(theta[:2]), np.exp(theta[SCALE_OF_ROW])
@@ -377,7 +411,8 @@ def test_published_filter_runs_on_the_noise_in_use(
 ) -> None:
     """Each step of it is one of the plain filter with the noise of the step before."""
     state, plain = trained(model), make_model()
-    for period in random_periods(np.random.default_rng(96), 20):
+    for epoch in itertools.chain(*random_periods(np.random.default_rng(96), 20)):
+        period = [epoch]
         same = start_filter(
             plain, state.mean, state.covariance, state.process_noise, state.measurement_noise
         )
@@ -399,11 +434,10 @@ def scaled_run(model: FilterModel, length: float, quarter_turns: int = 0) -> lis
     )
     covariance = START_COVARIANCE * np.outer(unit[:3], unit[:3])
     state, found = start_filter(scaled, np.array([0.0, 0.0, angle]), covariance), []
-    for period in random_periods(np.random.default_rng(97), 120, plain=True):
-        z = np.concatenate([turned @ period.measurement[:2], period.measurement[2:] + angle])
-        state, result = step(
-            scaled, state, StepInput(period.control * unit[[0, 2]], z * unit, ALL_ROWS)
-        )
+    for [epoch] in random_periods(np.random.default_rng(97), 120, plain=True):
+        z = np.concatenate([turned @ epoch.measurement[:2], epoch.measurement[2:] + angle])
+        period = at_end(epoch.control * unit[[0, 2]], z * unit, ALL_ROWS)
+        state, result = step(scaled, state, period)
         joint, _ = learned(state)
         found += [joint.log_scale.ravel(), belief(result).log_scale, belief(result).weights]
     return found

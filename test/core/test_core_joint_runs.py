@@ -10,7 +10,7 @@ import pytest
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.bounds import NoiseBounds
-from fnn_ekf_ros.core.filter import FilterModel, FilterState, StepInput, start_filter, step
+from fnn_ekf_ros.core.filter import Epoch, FilterModel, FilterState, step
 from fnn_ekf_ros.core.joint import (
     LARGEST_GAIN,
     LONGEST_LEAD,
@@ -18,7 +18,8 @@ from fnn_ekf_ros.core.joint import (
     SLIP,
     JointState,
 )
-from fnn_ekf_ros.core.motion import MotionModel, move
+from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.core.state import JOINT, start_filter
 
 MakeModel = Callable[..., FilterModel]
 MakeAdaptation = Callable[..., Adaptation]
@@ -40,7 +41,7 @@ RUNS = 120
 
 
 class Run(NamedTuple):
-    """What filters of the same drives believed; time first, runs second."""
+    """What filters of the same drives believed; time first, then components, then runs."""
 
     error: FloatArray
     nees: FloatArray
@@ -62,23 +63,23 @@ class Runs(NamedTuple):
 def drives(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return controls, measurements and truth: robots on exact arcs."""
     rng = np.random.default_rng(seed)
-    truth, controls, measurements, truths = np.zeros((RUNS, 3)), [], [], []
-    coloured = rng.standard_normal((RUNS, 2))
+    truth, controls, measurements, truths = np.zeros((3, RUNS)), [], [], []
+    coloured = rng.standard_normal((RUNS, 2)).T
     for i in range(STEPS):
-        control = np.tile([0.11, 0.03 + 0.05 * math.sin(0.05 * i)], (RUNS, 1))
-        driven = control + rng.standard_normal((RUNS, 2)) * np.sqrt(TRUE_Q)
-        truth = move(MotionModel.EXACT_ARC, truth, driven).mean
+        control = np.repeat([[0.11], [0.03 + 0.05 * math.sin(0.05 * i)]], RUNS, axis=1)
+        driven = control + (rng.standard_normal((RUNS, 2)) * np.sqrt(TRUE_Q)).T
+        truth = truth + displacement(MotionModel.EXACT_ARC, truth[2], driven)
         if SLIDE[0] <= i < SLIDE[1]:
-            truth[SLIDING] += [0.3, -0.4, 0.3]
-        noise = rng.standard_normal((RUNS, 4))
-        coloured = 0.5 * coloured + math.sqrt(0.75) * noise[:, :2]
-        noise[COLOURED, :2] = coloured[COLOURED]
-        tail = np.sqrt(1.0 / rng.chisquare(3, (RUNS, 1)))  # Student's t with variance 1
-        noise[HEAVY, :2] *= tail[HEAVY]
+            truth[:, SLIDING] += [[0.3], [-0.4], [0.3]]
+        noise = rng.standard_normal((RUNS, 4)).T
+        coloured = 0.5 * coloured + math.sqrt(0.75) * noise[:2]
+        noise[:2, COLOURED] = coloured[:, COLOURED]
+        tail = np.sqrt(1.0 / rng.chisquare(3, RUNS))  # Student's t with variance 1
+        noise[:2, HEAVY] *= tail[HEAVY]
         if LOUD[0] <= i < LOUD[1]:
-            noise[NOISE_STEP] *= 5.0
+            noise[:, NOISE_STEP] *= 5.0
         controls.append(control)
-        measurements.append(truth[:, [0, 1, 2, 2]] + noise * np.sqrt(TRUE_R))
+        measurements.append(truth[[0, 1, 2, 2]] + noise * np.sqrt(TRUE_R)[:, None])
         truths.append(truth)
     return np.array(controls), np.array(measurements), np.array(truths)
 
@@ -88,18 +89,18 @@ def filtered(
     drive: tuple[FloatArray, FloatArray, FloatArray],
     wrong: FloatArray,
 ) -> Run:
+    """Run a filter whose noise is wrong by `(2, RUNS)`, Q and R."""
     control, measurement, truth = drive
-    mask = np.broadcast_to(COMPASS_AND_POSITION, (RUNS, 4))
-    state = start_filter(
-        model, np.zeros((RUNS, 3)), START_COVARIANCE, TRUE_Q * wrong[:, :1], TRUE_R * wrong[:, 1:]
-    )
+    mask = np.repeat(COMPASS_AND_POSITION[:, None], RUNS, axis=1)
+    Q, R = TRUE_Q[:, None] * wrong[0], TRUE_R[:, None] * wrong[1]
+    state = start_filter(model, np.zeros((3, RUNS)), START_COVARIANCE, Q, R)
     found: list[list[FloatArray]] = [[], [], [], [], []]
     for u, z, true in zip(control, measurement, truth, strict=True):
-        state, result = step(model, state, StepInput(u, z, mask))
+        state, result = step(model, state, [Epoch(u, 0.375, z, mask)])
         error = state.mean - true
-        error[:, 2] = np.arctan2(np.sin(error[:, 2]), np.cos(error[:, 2]))
-        white = np.linalg.solve(state.covariance, error[..., None])[..., 0]
-        row = [error, np.sum(error * white, axis=-1), state.measurement_noise]
+        error[2] = np.arctan2(np.sin(error[2]), np.cos(error[2]))
+        white = np.linalg.solve(state.covariance.T, error.T[..., None])[..., 0]
+        row = [error, np.sum(error * white.T, axis=0), state.measurement_noise]
         if result.joint is not None:
             row += [result.joint.weights, result.joint.log_scale]
         for kept, value in zip(found, row, strict=False):
@@ -110,9 +111,9 @@ def filtered(
 @pytest.fixture(scope="module")
 def runs(make_model: MakeModel, make_adaptation: MakeAdaptation) -> Runs:
     drive = drives(seed=100)
-    right = np.ones((RUNS, 2))
+    right = np.ones((2, RUNS))
     wrong = right.copy()
-    wrong[CORNERS] = np.repeat(WRONG, 12, axis=0)
+    wrong[:, CORNERS] = np.repeat(WRONG, 12, axis=0).T
     joint = make_model(adaptation=make_adaptation(mode="joint"))
     plain = make_model()
     return Runs(
@@ -121,15 +122,15 @@ def runs(make_model: MakeModel, make_adaptation: MakeAdaptation) -> Runs:
 
 
 def position_rmse(run: Run, which: slice, times: slice = slice(None)) -> float:
-    return math.sqrt(float(np.mean(np.sum(run.error[times, which, :2] ** 2, axis=-1))))
+    return math.sqrt(float(np.mean(np.sum(run.error[times, :2, which] ** 2, axis=1))))
 
 
 def yaw_rmse(run: Run, which: slice, times: slice = slice(None)) -> float:
-    return math.sqrt(float(np.mean(run.error[times, which, 2] ** 2)))
+    return math.sqrt(float(np.mean(run.error[times, 2, which] ** 2)))
 
 
 def test_right_start_is_kept_at_next_to_no_cost(runs: Runs) -> None:
-    weight = runs.joint.weights[:, RIGHT, 0]
+    weight = runs.joint.weights[:, 0, RIGHT]
     assert np.mean(weight > 0.5) > 0.9
     assert np.all(np.mean(weight > 0.5, axis=0) > 0.5)
     assert position_rmse(runs.joint, RIGHT) < 1.01 * position_rmse(runs.start, RIGHT)
@@ -148,26 +149,26 @@ def test_start_wrong_by_25_is_mended(runs: Runs, cell: int) -> None:
     lost = position_rmse(runs.start, which, late) > 1.5 * oracle
     fooled = not 0.2 < np.mean(runs.start.nees[late, which]) / 3.0 < 5.0
     assert lost or fooled
-    assert np.mean(runs.joint.weights[late, which, 0] < 0.01) > 0.95
+    assert np.mean(runs.joint.weights[late, 0, which] < 0.01) > 0.95
 
 
 def test_mended_start_stays_mended(runs: Runs) -> None:
     """No limit cycle: the log scales wander slowly, within what 200 measurements can tell."""
-    theta = runs.joint.log_scale[-200:, CORNERS]
+    theta = runs.joint.log_scale[-200:, :, CORNERS]
     spread = np.std(theta, axis=0)
-    assert np.all(np.mean(spread, axis=0) < [0.4, 0.4, 0.1, 0.15])
+    assert np.all(np.mean(spread, axis=1) < [0.4, 0.4, 0.1, 0.15])
     assert np.max(spread) < 1.0
     change = np.diff(theta, axis=0)
     assert np.sqrt(np.mean(change**2)) < 0.06
     # Changes do not swing back: that would be overshooting.
-    swing = np.mean(change[1:] * change[:-1], axis=(0, 1)) / np.mean(change**2, axis=(0, 1))
+    swing = np.mean(change[1:] * change[:-1], axis=(0, 2)) / np.mean(change**2, axis=(0, 2))
     assert np.all(np.abs(swing) < 0.5), swing
 
 
 def test_coloured_fixes_do_not_fool_the_right_start(runs: Runs) -> None:
     """Autoregressive with 0.5: the innovations ask for less R and more Q, and that is wrong."""
     assert position_rmse(runs.joint, COLOURED) < 1.02 * position_rmse(runs.start, COLOURED)
-    assert np.mean(runs.joint.weights[:, COLOURED, 0] > 0.5) > 0.8
+    assert np.mean(runs.joint.weights[:, 0, COLOURED] > 0.5) > 0.8
 
 
 def test_heavy_tailed_fixes_cost_little(runs: Runs) -> None:
@@ -177,16 +178,16 @@ def test_heavy_tailed_fixes_cost_little(runs: Runs) -> None:
 
 
 def test_loud_fixes_are_noticed_at_once_and_forgotten_afterwards(runs: Runs) -> None:
-    weights = runs.joint.weights[:, NOISE_STEP]
-    R = runs.joint.measurement_noise[:, NOISE_STEP] / TRUE_R
+    weights = runs.joint.weights[..., NOISE_STEP]
+    R = runs.joint.measurement_noise[..., NOISE_STEP] / TRUE_R[:, None]
     begin, end = LOUD
-    assert np.all(weights[begin - 20 : begin, :, 2] < 0.5)
-    assert np.all(weights[begin + 20, :, 2] > 0.8)
-    assert np.all(R[begin + 20, :, :3] > 2.0)
-    typical = np.median(R[end - 20 : end, :, :3], axis=(0, 1))
+    assert np.all(weights[begin - 20 : begin, 2] < 0.5)
+    assert np.all(weights[begin + 20, 2] > 0.8)
+    assert np.all(R[begin + 20, :3] > 2.0)
+    typical = np.median(R[end - 20 : end, :3], axis=(0, 2))
     assert np.all((typical > 12.0) & (typical < 50.0)), typical
-    assert np.all(weights[end + 60 :, :, 0] > 0.8)
-    assert np.all(np.abs(np.log(R[end + 60 :, :, :3])) < math.log(1.5))
+    assert np.all(weights[end + 60 :, 0] > 0.8)
+    assert np.all(np.abs(np.log(R[end + 60 :, :3])) < math.log(1.5))
     loud, after = slice(*LOUD), slice(end + 60, None)
     start = runs.start
     assert position_rmse(runs.joint, NOISE_STEP, loud) < position_rmse(start, NOISE_STEP, loud)
@@ -197,11 +198,11 @@ def test_loud_fixes_are_noticed_at_once_and_forgotten_afterwards(runs: Runs) -> 
 def test_sliding_wheels_are_met_within_a_few_periods(runs: Runs) -> None:
     """Half a metre and 17 degrees in each of five periods, which the wheels do not see."""
     begin, end = SLIDE
-    slip = runs.joint.weights[:, SLIDING, 3]
+    slip = runs.joint.weights[:, 3, SLIDING]
     assert np.all(slip[begin - 20 : begin] < 0.1)
     assert np.all(np.max(slip[begin : begin + 5], axis=0) > 0.5)
     assert np.all(slip[end + 60 :] < 0.5)
-    assert np.median(runs.joint.weights[end + 60 :, SLIDING, 0]) > 0.8
+    assert np.median(runs.joint.weights[end + 60 :, 0, SLIDING]) > 0.8
     sliding = slice(begin, end + 10)
     joint, start = runs.joint, runs.start
     assert position_rmse(joint, SLIDING, sliding) < 0.9 * position_rmse(start, SLIDING, sliding)
@@ -217,30 +218,43 @@ HOSTILE_BOUNDS = NoiseBounds(
 )
 
 
-def hostile_period(rng: np.random.Generator, truth: FloatArray, i: int) -> StepInput:
-    """Standstill and jumps, outliers of all sizes, gaps, late and reported measurements."""
-    batch = len(truth)
-    control = rng.normal(0.0, [0.3, 0.3], (batch, 2)) * 10.0 ** rng.uniform(-6.0, 1.0, (batch, 1))
-    control[rng.random(batch) < 0.1] = 0.0
-    truth[:] = move(MotionModel.EXACT_ARC, truth, control).mean
-    wild = rng.random((batch, 4)) < 0.1
-    size = np.where(wild, 10.0 ** rng.uniform(0.0, 6.0, (batch, 4)), 0.1)
-    z = truth[:, [0, 1, 2, 2]] + rng.standard_normal((batch, 4)) * size
-    root = 10.0 ** rng.uniform(-2.0, 2.0, (batch, 1, 1)) * rng.standard_normal((batch, 4, 4))
-    reported = root @ np.swapaxes(root, -1, -2) + 1e-4 * np.eye(4)
-    available: BoolArray = rng.random((batch, 4)) < 0.8
-    available &= (np.arange(batch)[:, None] + i // 50) % 5 != 0
-    return StepInput(
-        control,
-        np.where(available, z, np.nan),
-        available,
-        rng.random((batch, 4, 1)) * control[:, None] if i % 3 == 0 else None,
-        reported if i % 400 > 300 else None,
-    )
+def hostile_period(rng: np.random.Generator, truth: FloatArray, i: int) -> list[Epoch]:
+    """Standstill and jumps, outliers of all sizes, gaps, several readings, reported covariances."""
+    batch = truth.shape[1]
+    epochs = int(rng.integers(1, 4)) if i % 3 == 0 else 1
+    parts = rng.dirichlet(np.ones(epochs))
+    period = rng.normal(0.0, 0.3, (2, batch)) * 10.0 ** rng.uniform(-6.0, 1.0, batch)
+    period[:, rng.random(batch) < 0.1] = 0.0
+    found = []
+    for part in parts:
+        control = part * period
+        truth += displacement(MotionModel.EXACT_ARC, truth[2], control)
+        wild = rng.random((4, batch)) < 0.1
+        size = np.where(wild, 10.0 ** rng.uniform(0.0, 6.0, (4, batch)), 0.1)
+        z = truth[[0, 1, 2, 2]] + rng.standard_normal((4, batch)) * size
+        root = 10.0 ** rng.uniform(-2.0, 2.0, batch) * rng.standard_normal((3, 3, batch))
+        reported = np.einsum("ik...,jk...->ij...", root, root) + 1e-4 * np.eye(3)[..., None]
+        available: BoolArray = rng.random((4, batch)) < 0.8
+        available &= (np.arange(batch) + i // 50) % 5 != 0
+        found.append(
+            Epoch(
+                control,
+                float(part) * 0.375,
+                np.where(available, z, np.nan),
+                available,
+                reported if i % 400 > 300 else None,
+            )
+        )
+    return found
+
+
+def assert_definite(matrices: FloatArray) -> None:
+    """Matrices `(n, n, ...)` are positive definite."""
+    np.linalg.cholesky(np.moveaxis(matrices, (0, 1), (-2, -1)))  # refuses what is not
 
 
 def in_bounds(state: FilterState) -> bool:
-    b, Q, R = HOSTILE_BOUNDS, state.process_noise, state.measurement_noise
+    b, Q, R = HOSTILE_BOUNDS, state.process_noise.T, state.measurement_noise.T
     return bool(
         np.all((b.process_min <= Q) & (b.process_max >= Q))
         and np.all((b.measurement_min <= R) & (b.measurement_max >= R))
@@ -266,26 +280,25 @@ def test_hostile_drives_leave_it_sound(
         b.measurement_min,
         b.measurement_max,
     )
-    truth = np.zeros((batch, 3))
-    state, touched = start_filter(model, truth.copy(), START_COVARIANCE, Q, R), False
+    truth = np.zeros((3, batch))
+    state, touched = start_filter(model, truth.copy(), START_COVARIANCE, Q.T, R.T), False
     for i in range(2000):
         state, result = step(model, state, hostile_period(rng, truth, i))
         joint = state.joint
         assert isinstance(joint, JointState)
         assert result.joint is not None
         assert in_bounds(state)
-        np.linalg.cholesky(state.covariance)  # refuses what is not positive definite
+        assert_definite(state.covariance)
         if i % 5 != 0:
             continue
         assert all(np.all(np.isfinite(part)) for part in (*joint, *result.joint, result.nis))
-        np.linalg.cholesky(joint.covariance)
-        np.linalg.cholesky(joint.forecast_covariance)
-        np.linalg.cholesky(joint.information)
-        np.testing.assert_allclose(np.sum(result.joint.weights, axis=-1), 1.0, rtol=1e-12)
+        assert_definite(state.bank.covariance)
+        assert_definite(joint.information)
+        np.testing.assert_allclose(np.sum(result.joint.weights, axis=0), 1.0, rtol=1e-12)
         assert np.all((joint.start_weight > 0.0) & (joint.start_weight < 1.0))
         assert np.all((joint.lead <= LONGEST_LEAD) & (joint.lead > -20.0 * LARGEST_GAIN))
-        assert np.all(joint.memory <= LONGEST_MEMORY)
-        scale = np.exp(joint.log_scale[:, :, :2]) * Q[:, None]
+        assert np.all(joint.memory <= LONGEST_MEMORY[:, None])
+        scale = (np.exp(joint.log_scale[:2]) * Q.T[:, None]).T
         assert np.all(scale > 0.999 * np.array(b.process_min))
         assert np.all(scale < 1.001 * np.array(b.process_max))
         touched |= bool(np.any(scale > 0.999 * np.array(b.process_max)))
@@ -307,9 +320,10 @@ def test_rows_that_share_a_scale_stop_at_the_closer_bound(
         state = start_filter(model, np.zeros(3), START_COVARIANCE)
         for _ in range(150):
             z = np.array([0.0, 0.0, 0.0, 0.0]) + size * rng.standard_normal(4)
-            state, _ = step(model, state, StepInput(np.array([0.0, 2e-3]), z, ALL_ROWS))
+            epoch = Epoch(np.array([0.0, 2e-3]), 0.375, z, ALL_ROWS)
+            state, _ = step(model, state, [epoch])
         assert state.joint is not None
-        np.testing.assert_allclose(np.exp(state.joint.log_scale[0, 2:]), limit, rtol=1e-9)
+        np.testing.assert_allclose(np.exp(state.joint.log_scale[2:, 0]), limit, rtol=1e-9)
 
 
 def test_every_hypothesis_is_a_plain_filter_with_its_own_noise(
@@ -319,26 +333,29 @@ def test_every_hypothesis_is_a_plain_filter_with_its_own_noise(
     model, plain = make_model(adaptation=make_adaptation(mode="joint")), make_model()
     rng = np.random.default_rng(99)
     state = start_filter(model, np.zeros(3), START_COVARIANCE)
-    filters = [0, 1, 10, -1]
+    filters = [0, 1, 10, 19]
     for i in range(40):
         rows = ALL_ROWS if i < 30 else rng.random(4) < 0.4
         control = rng.uniform([0.05, -0.3], [0.3, 0.3])
-        period = StepInput(control, state.mean[[0, 1, 2, 2]] + rng.normal(0.0, 0.5, 4), rows)
-        before = state.joint
+        z = state.mean[[0, 1, 2, 2]] + rng.normal(0.0, 0.5, 4)
+        period = [Epoch(control, 0.375, z, rows)]
+        before = state
         state, _ = step(model, state, period)
-        assert before is not None
-        assert state.joint is not None
-        settled, fast = before.log_scale
-        theta = np.array([0.0 * settled, settled, fast, settled + SLIP])
+        assert before.joint is not None
+        settled, fast = before.joint.log_scale.T
+        theta = np.array([0.0 * settled, settled, fast, settled + SLIP]).T
+        mean, covariance = before.bank.filters(JOINT)
         alone = start_filter(
             plain,
-            before.mean[filters],
-            before.covariance[filters],
-            plain.process_noise * np.exp(theta[:, :2]),
-            plain.measurement_noise * np.exp(theta[:, [2, 2, 3, 3]]),
+            mean[:, filters],
+            covariance[:, :, filters],
+            np.array(plain.process_noise)[:, None] * np.exp(theta[:2]),
+            np.array(plain.measurement_noise)[:, None] * np.exp(theta[[2, 2, 3, 3]]),
         )
-        expected, _ = step(plain, alone, period)
-        np.testing.assert_allclose(state.joint.mean[filters], expected.mean, rtol=0.0, atol=1e-10)
+        copies = [np.repeat(a[:, None], 4, axis=1) for a in (control, z, rows)]
+        expected, _ = step(plain, alone, [Epoch(copies[0], 0.375, *copies[1:])])
+        mean, covariance = state.bank.filters(JOINT)
+        np.testing.assert_allclose(mean[:, filters], expected.mean, rtol=0.0, atol=1e-10)
         np.testing.assert_allclose(
-            state.joint.covariance[filters], expected.covariance, rtol=1e-9, atol=1e-15
+            covariance[:, :, filters], expected.covariance, rtol=1e-9, atol=1e-15
         )

@@ -53,8 +53,9 @@ def test_batches_equal_one_by_one() -> None:
     rng = np.random.default_rng(1)
     left, right = rng.integers(-1000, 1000, (2, 3, 4)).astype(np.float64)
     control = control_from_counts(PAPER, left, right)
-    assert control.shape == (3, 4, 2)
+    assert control.shape == (2, 3, 4)
     for index in np.ndindex(3, 4):
         np.testing.assert_array_equal(
-            control[index], control_from_counts(PAPER, float(left[index]), float(right[index]))
+            control[:, *index],
+            control_from_counts(PAPER, float(left[index]), float(right[index])),
         )

@@ -25,9 +25,9 @@ def test_half_filled_window_averages_what_it_has() -> None:
 
 def test_empty_window_has_no_mean_square_to_speak_of() -> None:
     window = empty_window(5, (2, 3))
-    assert window.squares.shape == (2, 3, 5, 4)
-    assert window.counts.shape == (2, 3, 4)
-    np.testing.assert_array_equal(mean_square(window), np.zeros((2, 3, 4)))
+    assert window.squares.shape == (5, 4, 2, 3)
+    assert window.counts.shape == (4, 2, 3)
+    np.testing.assert_array_equal(mean_square(window), np.zeros((4, 2, 3)))
 
 
 def test_square_grows_with_the_innovation_not_with_its_sign() -> None:
@@ -43,11 +43,11 @@ def test_every_row_keeps_its_own_last_innovations(length: int, share: float) -> 
     batch = (2, 3)
     window = empty_window(length, batch)
     plain: dict[tuple[int, ...], deque[float]] = {
-        index: deque(maxlen=length) for index in np.ndindex(*batch, 4)
+        index: deque(maxlen=length) for index in np.ndindex(4, *batch)
     }
     for _ in range(200):
-        innovation = rng.standard_normal((*batch, 4))
-        available = rng.random((*batch, 4)) < share
+        innovation = rng.standard_normal((4, *batch))
+        available = rng.random((4, *batch)) < share
         window = push(window, innovation, available)
         for index, kept in plain.items():
             if available[index]:

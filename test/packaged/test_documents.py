@@ -10,8 +10,8 @@ from faults.rows import ROWS
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.core import relocation, suspects
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.joint import STANDSTILL
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.messages import NIS_TOPICS, NOISE_FIELDS, NUMBER_TOPICS, STD_TOPICS
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import FAULTS
@@ -30,12 +30,12 @@ from fnn_ekf_ros.pipeline import (
     wheels,
 )
 from fnn_ekf_ros.study import fault_naming
-from fnn_ekf_ros.tools import study_faults, study_real
+from fnn_ekf_ros.tools import study_faults, study_rates, study_real
 from fnn_ekf_ros.tools.study import STUDIES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-STUDY_NAMES = {*STUDIES, study_real.NAME, study_faults.NAME}
+STUDY_NAMES = {*STUDIES, study_real.NAME, study_faults.NAME, study_rates.NAME}
 NS = 1e9
 
 
@@ -149,7 +149,7 @@ def test_diagnostics_has_the_numbers_of_the_code() -> None:
         f"off by {100 * wheel_sizes.SMALLEST_PART:g} % or more, which has to be clear by "
         f"{wheel_sizes.SIGMAS:g} standard deviations, and by {wheel_sizes.PART_SIGMAS:g} in each",
         f"for {suspects.SUSPICION**0.5:g} times larger (std)",
-        f"no period adds more than {suspects.LARGEST_GAIN:g} nats",
+        f"no reading adds more than {suspects.LARGEST_GAIN:g} nats",
         f"none grows beyond {suspects.LONGEST_LEAD:g}",
         f"From {blame.SUSPECTED_LEAD:g} nats on",
         f"Below {blame.SUSPECTED_LEAD:g}, rejections",

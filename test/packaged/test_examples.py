@@ -37,6 +37,7 @@ SHORTER = {
     "study dynamic": "--runs 2 --steps 10 --jobs 1",
     "simulate run -p faults_file:=config/": "--duration 60",
     "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan --jobs 1",
+    "study rates": "--runs 2 --fixes 4 --jobs 1",
 }
 """Arguments put behind those of an example that would take minutes or hours: the last one wins."""
 PLAY = f"{COMMAND}play "

@@ -1,6 +1,7 @@
 """What the unit tests share: parameters, pipelines, simulated runs, commands and bags."""
 
 import functools
+import importlib.util
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import SimpleNamespace
@@ -148,6 +149,19 @@ def same_estimates() -> Callable[[list[Output], list[Output]], None]:
                 )
 
     return compare
+
+
+@pytest.fixture(scope="session")
+def textbook_step() -> Callable[..., tuple[FloatArray, FloatArray]]:
+    """The independent EKF of the core's tests."""
+    path = Path(__file__).parents[1] / "core" / "textbook_ekf.py"
+    spec = importlib.util.spec_from_file_location("textbook_ekf", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    step: Callable[..., tuple[FloatArray, FloatArray]] = module.textbook_step
+    return step
 
 
 @pytest.fixture

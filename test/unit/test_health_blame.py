@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.core.suspects import SUSPECTS, no_suspects
+from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.pipeline.blame import (
     AGREEING,
     CLEAR_LEAD,
@@ -44,8 +44,7 @@ def watch(
     compass: Readings = RIGHT,
     lrf_pose: Readings = RIGHT,
 ) -> Watch:
-    nobody = no_suspects(np.zeros(3), np.eye(3))
-    return Watch(nobody._replace(lead=np.array(leads)), (compass, lrf_pose), 0, 0)
+    return Watch((compass, lrf_pose), 0, 0, leads=(Leads(0, leads),))
 
 
 def test_nothing_wrong_blames_nobody() -> None:

@@ -91,11 +91,11 @@ def test_noise_numbers_are_what_their_names_say(
         assert values[f"innovation_variance_{row}"] == result.innovation_variance[index]
         assert values[f"mismatch_{row}"] == result.mismatch[index]
         for rule, name in enumerate(("increase", "maintain", "decrease")):
-            assert values[f"firing_{name}_{row}"] == result.firing_strength[index, rule]
+            assert values[f"firing_{name}_{row}"] == result.firing_strength[rule, index]
     assert values["process_noise_forward"] == state.process_noise[0]
     assert values["process_noise_heading"] == state.process_noise[1]
     assert values["nis"] == result.nis
-    assert values["degrees_of_freedom"] == 3.0
+    assert values["degrees_of_freedom"] == 5.0  # of a fix and three readings of the compass
     first = dict(zip(NOISE_FIELDS, as_object(messages.noise(estimates[0])).data, strict=True))
     assert first["measurement_noise_x"] == pytest.approx(0.01)
     assert first["nis"] == first["innovation_x"] == 0.0
@@ -124,12 +124,13 @@ def test_noise_numbers_tell_what_fired(
     *_, last = (output.estimate for output in outputs if output.estimate is not None)
     data = as_object(messages.noise(last)).data
     rows, process = last.result.firing_strength, last.result.process_firing_strength
+    assert (rows.shape, process.shape) == ((3, 4), (3, 2))  # the message has the rules side by side
     assert np.any(rows)
     assert np.any(process) == ("q" in mode)
-    np.testing.assert_array_equal(data[45:51], np.ravel(process))
-    np.testing.assert_array_equal(data[20:32], np.ravel(rows))
+    np.testing.assert_array_equal(data[45:51], np.ravel(process, order="F"))
+    np.testing.assert_array_equal(data[20:32], np.ravel(rows, order="F"))
     if mode == "q":  # in the rows of x and compass yaw, too
-        np.testing.assert_array_equal(data[[20, 21, 22, 26, 27, 28]], np.ravel(process))
+        np.testing.assert_array_equal(data[[20, 21, 22, 26, 27, 28]], np.ravel(process, order="F"))
 
 
 def test_numbers_to_plot_are_the_roots_of_the_noise_in_use(
@@ -171,7 +172,9 @@ def test_a_nis_to_plot_is_per_degree_of_freedom_and_only_of_what_was_measured(
         fix, _, yaw, _ = map(bool, estimate.result.available)
         assert [topic in made for topic in ("nis/compass", "nis/lrf_pose")] == [yaw, fix]
         if yaw:
-            assert as_object(made["nis/compass"]).data == estimate.result.sensor_nis[0]
+            rows = estimate.result.sensor_degrees_of_freedom[0]
+            assert rows in {1, 2, 3}  # readings in the period, fewer where it falls silent
+            assert as_object(made["nis/compass"]).data == estimate.result.sensor_nis[0] / rows
         if fix:
             assert as_object(made["nis/lrf_pose"]).data == estimate.result.sensor_nis[1] / 2.0
         seen.add((fix, yaw))
@@ -228,7 +231,9 @@ def test_noise_numbers_tell_what_joint_adaptation_believes(
     outputs = feed(pipeline, simulated(11, 30.0).arrivals)
     first, *_, last = (output.estimate for output in outputs if output.estimate is not None)
     data = as_object(messages.noise(last)).data
-    np.testing.assert_array_equal(data[20:32], np.ravel(last.result.joint.firing_strength))
+    fired = last.result.joint.firing_strength
+    assert fired.shape == (3, 4)
+    np.testing.assert_array_equal(data[20:32], np.ravel(fired, order="F"))
     np.testing.assert_array_equal(data[32:36], last.result.joint.log_scale)
     np.testing.assert_array_equal(data[36:40], last.result.joint.weights)
     assert sum(data[36:40]) == pytest.approx(1.0)

@@ -100,7 +100,11 @@ def test_with_the_right_noise_the_covariance_is_right(errors: Callable[..., Erro
 def test_with_the_right_noise_innovations_are_as_large_as_expected(
     make_pipeline: MakePipeline, feed: Any, simulated: Any
 ) -> None:
-    """NIS of a right filter is white, so every period counts: 99 % band as above."""
+    """NIS of a right filter is white, so every period counts: 99 % band as above.
+
+    The robot's compass speaks three times a period, and all its readings count: five degrees of
+    freedom with the two of the fix, and M sums of five are chi-square with 5 M.
+    """
     nis, freedom = [], []
     for seed in SEEDS:
         pipeline = make_pipeline(adaptation="none")
@@ -108,8 +112,8 @@ def test_with_the_right_noise_innovations_are_as_large_as_expected(
             if output.estimate is not None and output.estimate.result is not None:
                 nis.append(float(output.estimate.result.nis))
                 freedom.append(float(output.estimate.result.degrees_of_freedom))
-    assert set(freedom) == {3.0}
-    assert abs(np.mean(nis) - 3.0) < 2.576 * np.sqrt(6.0 / len(nis))
+    assert set(freedom) == {5.0}
+    assert abs(np.mean(nis) - 5.0) < 2.576 * np.sqrt(10.0 / len(nis))
 
 
 @pytest.mark.parametrize(("factor", "largest"), [(5.0, 1.08), (0.2, 1.08)], ids=["x25", "/25"])

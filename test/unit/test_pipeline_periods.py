@@ -258,32 +258,56 @@ def test_a_joint_is_the_wheel_behind_the_gear(
     assert first[-1, 0] > 0.5
 
 
-def test_the_latest_measurement_of_each_sensor_in_a_period_counts(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same
+def test_every_measurement_in_a_period_counts_at_its_own_time(
+    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same, textbook_step: Any
 ) -> None:
-    first, both = [], []
-    for number in range(12):
-        begin = (10 + number) * PERIOD_NS
-        late = [
-            CompassYaw(begin + 200_000_000, 0.01 * number),
-            PoseFix(begin + 300_000_000, np.array([0.1, 0.02 * number, 0.0]), np.eye(3)),
-        ]
-        early = [
-            CompassYaw(begin + 100_000_000, 2.0),
-            PoseFix(begin + 250_000_000, np.array([9.0, 9.0, 0.0]), np.eye(3)),
-        ]
-        counts = ticks(begin + 350_000_000, 50 * number, 40 * number)
-        end = begin + 350_000_000
-        first += [arrival(end, event) for event in [*late, *counts]]
-        order = [*early, *late] if number % 2 else [*late, *early]  # whatever comes in first
-        both += [arrival(end, event) for event in [*order, *counts]]
-    outputs = feed(make_pipeline(adaptation="r"), both)
-    same_estimates(outputs, feed(make_pipeline(adaptation="r"), first))
-    assert sum(o.estimate is not None for o in outputs) >= 10
+    """The textbook's EKF, fed with all readings in order, whatever comes in first."""
+    begin, step_ns = 10 * PERIOD_NS, 25_000_000
+    way, turn = 10.0 * METRES_PER_COUNT, 2.0 * METRES_PER_COUNT / 0.6  # of a step
+    yaw, position = Row.COMPASS_YAW, [Row.X, Row.Y]
+    R = np.diag(np.square([0.1, 0.1, np.sqrt(0.018), 1.0]))
+    Q = np.square([0.05, math.radians(3.0)])
+    rng = np.random.default_rng(8)
+    x, P = np.zeros(3), 0.01 * np.eye(3) + np.diag([Q[0], 0.0, Q[1]])  # it stood for a period
+    since, expected = 0, []
+    arrivals, hasty = [], []
+    for step in range(12 * 15 + 1):
+        stamp = begin + step * step_ns
+        events: list[Any] = ticks(stamp, 9 * step, 11 * step)
+        z, rows = np.append(arc_pose(way, turn, step) + 0.1 * rng.standard_normal(3), 0.0), []
+        if step % 15 in {4, 8, 13}:
+            events.append(CompassYaw(stamp, z[yaw]))
+            rows = [yaw]
+        if step % 15 in {6, 8, 11}:
+            events.append(PoseFix(stamp, z[:3], np.eye(3)))
+            rows = [*position, *rows]
+        if step and (rows or step % 15 == 0):
+            steps = step - since
+            noise = np.diag(Q * steps * step_ns / PERIOD_NS)
+            x, P = textbook_step(False, x, P, [way * steps, turn * steps], noise, z, R, rows)
+            since = step
+        if step and step % 15 == 0:
+            expected.append((x, P))
+        arrivals += in_time(events, arrival)
+        end = begin + -(-step // 15) * 15 * step_ns - 1 if step % 15 else stamp
+        hasty += [arrival(end, event) for event in reversed(events)]
+    hasty.sort(key=lambda a: (a.now_ns, isinstance(a.event, WheelCount), -a.event.stamp_ns))
+    settings = {"adaptation": "none", "motion_model": "exact_arc", **AT_ORIGIN}
+    settings |= {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
+    outputs = feed(make_pipeline(**settings), arrivals)
+    found = [o.estimate for o in running(outputs) if o.stamp_ns > begin]
+    assert len(found) == len(expected) == 12
+    for estimate, (x, P) in zip(found, expected, strict=True):
+        assert estimate is not None
+        np.testing.assert_allclose(estimate.state.mean, x, atol=1e-7)
+        np.testing.assert_allclose(estimate.state.covariance, P, atol=1e-9)
+        assert estimate.result is not None
+        assert estimate.result.degrees_of_freedom == 3 * 1 + 3 * 2
+    same_estimates(feed(make_pipeline(**settings), hasty), outputs)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4, -1.2])
-def test_measurements_inside_a_period_are_carried_to_its_end_by_the_wheels(
+def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(
     make_pipeline: MakePipeline, feed: Feed, arrival: Any, rate: float
 ) -> None:
     """A robot on an arc whose sensors are right: the filter has nothing to correct."""
@@ -317,11 +341,15 @@ def test_measurements_inside_a_period_are_carried_to_its_end_by_the_wheels(
 
 
 @pytest.mark.parametrize(
-    ("missing", "rows"), [(CompassYaw, [Row.COMPASS_YAW]), (PoseFix, [Row.X, Row.Y])]
+    ("missing", "rows", "freedom"),
+    [(CompassYaw, [Row.COMPASS_YAW], 2), (PoseFix, [Row.X, Row.Y], 3)],
+    ids=["compass", "fixes"],
 )
 def test_a_missing_sensor_drops_its_rows_only(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, missing: Any, rows: list[Row]
-) -> None:
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, missing: Any, rows: list[Row],
+    freedom: int,
+) -> None:  # fmt: skip
+    """The compass speaks three times a period."""
     arrivals = [a for a in simulated(11, 30.0).arrivals if not isinstance(a.event, missing)]
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0], adaptation="q")
     outputs = running(feed(pipeline, arrivals))
@@ -333,7 +361,7 @@ def test_a_missing_sensor_drops_its_rows_only(
         result = output.estimate.result
         assert result is not None
         assert not any(result.available[row] for row in [*rows, Row.LRF_YAW])
-        assert int(result.degrees_of_freedom) == 3 - len(rows)
+        assert int(result.degrees_of_freedom) == freedom
         assert sum(result.available) == 3 - len(rows)
 
 

@@ -45,12 +45,13 @@ def pose_at(stamp_ns: int) -> FloatArray:
     )
 
 
-def fix(stamp_ns: int) -> PoseFix:
-    return PoseFix(stamp_ns, pose_at(stamp_ns), REPORTED)
+def fix(stamp_ns: int, x_error: float = 0.0, y_error: float = 0.0) -> PoseFix:
+    error = np.array([x_error, y_error, 0.0])
+    return PoseFix(stamp_ns, pose_at(stamp_ns) + error, REPORTED)
 
 
-def compass(stamp_ns: int) -> CompassYaw:
-    return CompassYaw(stamp_ns, float(pose_at(stamp_ns)[2]))
+def compass(stamp_ns: int, error: float = 0.0) -> CompassYaw:
+    return CompassYaw(stamp_ns, float(pose_at(stamp_ns)[2]) + error)
 
 
 def drive(pipeline: Pipeline, measurements: Sequence[Event], periods: int) -> list[Output]:
@@ -73,6 +74,33 @@ def first_estimate(outputs: list[Output]) -> Estimate:
     estimate = next(o.estimate for o in outputs if o.estimate is not None)
     assert estimate is not None
     return estimate
+
+
+def way_and_turn(duration_ns: int) -> FloatArray:
+    """Return [dS, dtheta] of the robot over so long."""
+    return np.array([SPEED, RATE]) * duration_ns * 1e-9
+
+
+def wheel_noise(duration_ns: int) -> FloatArray:
+    """Return Q for so long, `(2, 2)`."""
+    return np.diag([FORWARD_VARIANCE, TURN_VARIANCE]) * (duration_ns / PERIOD_NS)
+
+
+@pytest.fixture
+def carried(textbook_step: Any) -> Callable[[int, FloatArray, int], FloatArray]:
+    """The covariance that the textbook's EKF has at an instant, by that of an earlier one."""
+
+    def carry(from_ns: int, P: FloatArray, to_ns: int) -> FloatArray:
+        if from_ns == to_ns:
+            return P
+        control, Q = way_and_turn(to_ns - from_ns), wheel_noise(to_ns - from_ns)
+        carried: FloatArray
+        _, carried = textbook_step(
+            False, pose_at(from_ns), P, control, Q, np.zeros(4), np.eye(4), []
+        )
+        return carried
+
+    return carry
 
 
 @pytest.fixture
@@ -135,12 +163,14 @@ def test_what_is_missing_is_named(pipeline: MakePipeline) -> None:
 
 @pytest.mark.parametrize("offset", [0, -100_000_000])
 def test_it_starts_with_the_covariance_of_the_measurements(
-    pipeline: MakePipeline, offset: int
+    pipeline: MakePipeline, carried: Any, offset: int
 ) -> None:
+    """At their time; from there to the period's end it is a filter as any other."""
     stamp = START_NS + 3 * PERIOD_NS + offset
     estimate = first_estimate(drive(pipeline(), [fix(stamp), compass(stamp)], 6))
     assert estimate.stamp_ns == START_NS + 3 * PERIOD_NS
-    np.testing.assert_array_equal(estimate.state.covariance, np.diag(R))
+    expected = carried(stamp, np.diag(R), estimate.stamp_ns)
+    np.testing.assert_allclose(estimate.state.covariance, expected, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(estimate.state.mean, pose_at(estimate.stamp_ns), atol=1e-9)
     np.testing.assert_allclose(estimate.twist, [SPEED, RATE], atol=1e-9)
     assert estimate.result is None
@@ -149,7 +179,7 @@ def test_it_starts_with_the_covariance_of_the_measurements(
 @pytest.mark.parametrize("apart", [1, 2, 5, 20])
 @pytest.mark.parametrize("first", ["fix", "compass"])
 def test_measurements_that_never_share_a_period_are_carried_by_the_wheels(
-    pipeline: MakePipeline, apart: int, first: str
+    pipeline: MakePipeline, carried: Any, apart: int, first: str
 ) -> None:
     early = START_NS + 2 * PERIOD_NS - 80_000_000
     late = START_NS + (2 + apart) * PERIOD_NS - 200_000_000
@@ -161,11 +191,13 @@ def test_measurements_that_never_share_a_period_are_carried_by_the_wheels(
     assert estimate.stamp_ns == START_NS + (2 + apart) * PERIOD_NS
     np.testing.assert_allclose(estimate.state.mean, pose_at(estimate.stamp_ns), atol=1e-9)
     expected = R.copy()
+    periods = (late - early) / PERIOD_NS  # until it can start, which it then does
     if first == "fix":
-        expected[:2] += apart * FORWARD_VARIANCE
+        expected[:2] += periods * FORWARD_VARIANCE
     else:
-        expected[2] += apart * TURN_VARIANCE
-    np.testing.assert_allclose(np.diag(estimate.state.covariance), expected, rtol=1e-12)
+        expected[2] += periods * TURN_VARIANCE
+    expected = carried(late, np.diag(expected), estimate.stamp_ns)
+    np.testing.assert_allclose(estimate.state.covariance, expected, rtol=1e-9, atol=1e-15)
     for output in outputs:
         if output.estimate is not None:
             truth = pose_at(output.stamp_ns)
@@ -251,7 +283,9 @@ def test_a_given_pose_does_not_age_before_both_wheels_have_spoken(
 
 
 @pytest.mark.parametrize("running", [False, True])
-def test_a_set_pose_counts_from_its_stamp_on(pipeline: MakePipeline, running: bool) -> None:
+def test_a_set_pose_counts_from_its_stamp_on(
+    pipeline: MakePipeline, carried: Any, running: bool
+) -> None:
     elsewhere = {"initial_pose": [40.0, 50.0, 1.0]} if running else {}
     stamp = START_NS + 4 * PERIOD_NS - 130_000_000
     given = np.diag([0.25, 0.25, 0.07])
@@ -263,9 +297,90 @@ def test_a_set_pose_counts_from_its_stamp_on(pipeline: MakePipeline, running: bo
         truth = pose_at(output.stamp_ns)
         np.testing.assert_allclose(output.estimate.state.mean, truth, atol=1e-9)
     assert known[0].estimate is not None
-    np.testing.assert_allclose(known[0].estimate.state.covariance, given)
+    expected = carried(stamp, given, known[0].stamp_ns)
+    np.testing.assert_allclose(known[0].estimate.state.covariance, expected, rtol=1e-9, atol=1e-15)
     for output in outputs[: -len(known)]:
         assert (output.estimate is not None) is (running and output.stamp_ns >= START_NS)
+
+
+def taken(
+    textbook_step: Any,
+    x: FloatArray,
+    P: FloatArray,
+    from_ns: int,
+    events: Sequence[Event],
+    to_ns: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the textbook's EKF makes of readings in order, at an instant after the last."""
+    R4 = np.diag([*R, R[2]])
+    for event in [*events, None]:
+        stamp = to_ns if event is None else event.stamp_ns
+        z, rows = np.zeros(4), []
+        if isinstance(event, CompassYaw):
+            z[2], rows = event.yaw, [2]
+        elif isinstance(event, PoseFix):
+            z[:2], rows = event.pose[:2], [0, 1]
+        control, Q = way_and_turn(stamp - from_ns), wheel_noise(stamp - from_ns)
+        x, P = textbook_step(False, x, P, control, Q, z, R4, rows)
+        from_ns = stamp
+    return x, P
+
+
+def test_a_filter_that_starts_goes_on_with_the_readings_that_follow_in_the_same_period(
+    pipeline: MakePipeline, textbook_step: Any
+) -> None:
+    end = START_NS + 4 * PERIOD_NS
+    began = end - 250_000_000
+    rest: list[Event] = [
+        compass(end - 200_000_000, 0.2),
+        fix(end - 150_000_000, 0.2, -0.1),
+        compass(end - 50_000_000, -0.1),
+    ]
+    first = [compass(began), fix(began)]
+    ran = pipeline(adaptation="none")
+    estimate = first_estimate(drive(ran, [*first, *rest], 6))
+    assert estimate.stamp_ns == end
+    x, P = taken(textbook_step, pose_at(began), np.diag(R), began, rest, end)
+    np.testing.assert_allclose(estimate.state.mean, x, atol=1e-9)
+    np.testing.assert_allclose(estimate.state.covariance, P, rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("running", [False, True])
+def test_a_set_pose_is_corrected_by_the_readings_after_it_and_by_none_before(
+    pipeline: MakePipeline, textbook_step: Any, running: bool
+) -> None:
+    elsewhere = {"initial_pose": [40.0, 50.0, 1.0]} if running else {}
+    end = START_NS + 4 * PERIOD_NS
+    stamp = end - 200_000_000
+    given, P_given = pose_at(stamp), np.diag([0.25, 0.25, 0.07])
+    before: list[Event] = [
+        compass(stamp - 100_000_000, 0.5),
+        fix(stamp - 60_000_000, 1.0, 1.0),
+        compass(stamp, 0.4),  # at its instant: before it
+    ]
+    after: list[Event] = [
+        fix(stamp + 50_000_000, 0.2, -0.1),
+        compass(stamp + 100_000_000, -0.1),
+    ]
+    events = [*before, *after, PoseReset(stamp, given, P_given)]
+    outputs = drive(pipeline(adaptation="none", **elsewhere), events, 6)
+    estimate = next(o.estimate for o in outputs if o.stamp_ns == end)
+    assert estimate is not None
+    x, P = taken(textbook_step, given, P_given, stamp, after, end)
+    np.testing.assert_allclose(estimate.state.mean, x, atol=1e-9)
+    np.testing.assert_allclose(estimate.state.covariance, P, rtol=1e-7, atol=1e-12)
+
+
+def test_readings_before_a_set_pose_are_taken_before_it(pipeline: MakePipeline) -> None:
+    """They are shown as any others, and the noise that they teach is kept."""
+    end = START_NS + 4 * PERIOD_NS
+    reset = PoseReset(end - 100_000_000, pose_at(end - 100_000_000), np.eye(3))
+    events = [compass(end - 200_000_000), fix(end - 150_000_000), compass(end - 50_000_000), reset]
+    ran = pipeline(initial_pose=list(pose_at(START_NS)), initial_pose_std=[0.1, 0.1, 0.1])
+    estimate = next(o.estimate for o in drive(ran, events, 6) if o.stamp_ns == end)
+    assert estimate is not None
+    assert estimate.result is not None
+    assert estimate.result.degrees_of_freedom == 3
 
 
 def test_a_set_pose_keeps_the_adapted_noise(make_pipeline: MakePipeline, simulated: Any) -> None:

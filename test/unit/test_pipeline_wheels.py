@@ -469,7 +469,8 @@ def test_a_pose_that_the_gate_moves_is_no_turn(
     def jumping(model: Any, before: Any, inputs: Any) -> Any:
         after, result = run(model, before, inputs)
         if result is not None and inputs.counts.right == 13 * 150.0:
-            after = after._replace(mean=after.mean - [0.0, 0.0, 1.0])
+            turned = after.bank.mean - np.array([[0.0], [0.0], [1.0]])
+            after = after._replace(bank=after.bank._replace(mean=turned))
             result = result._replace(relocated=np.array(relocated))
         return after, result
 

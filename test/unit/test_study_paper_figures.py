@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.study import paper
 from fnn_ekf_ros.study.starts import RIGHT, Cell

@@ -79,11 +79,7 @@ def run_of(parameters: LocalizerParameters, name: str, arrivals: Any, feed: Feed
     batch = batch_start(parameters, recorder.periods, CELLS)
     run = collect(run_starts(localizer_models(parameters)[name].model, batch))
     assert len(run.mean) == 1 + len(batch.inputs) == 1 + len(batch.stamps_ns)
-    at = [inputs.step.control_at_measurement for inputs in batch.inputs]
-    assert any(
-        a is not None and np.any(a != inputs.step.control)
-        for a, inputs in zip(at, batch.inputs, strict=True)
-    )
+    assert any(len(inputs.epochs) > 2 for inputs in batch.inputs)  # readings at their own times
     return [batch.stamp_ns, *batch.stamps_ns], run
 
 
@@ -368,7 +364,8 @@ def test_joint_is_near_the_best_fixed_filter_from_every_start_on_brenner(
     )  # fmt: skip
     succeed("study", "real", tmp_path / name, "--out", tmp_path / "out")
     (bag,) = json.loads((tmp_path / "out" / "results.json").read_text())["bags"]
-    assert bag["best_position"] == pytest.approx(0.0271, abs=0.0005)
+    # Fixes at 4 Hz: 0.0271 when only the last one of a period counted.
+    assert bag["best_position"] == pytest.approx(0.0281, abs=0.0005)
     assert bag["rows"] == ["x", "y", "lrf_yaw"]
     ratios = {
         name: [row["ratio"] for row in bag["results"] if row["filter"] == name]

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, transpose
 from fnn_ekf_ros.core.motion import MotionModel, move
+from fnn_ekf_ros.study import blocks
 from fnn_ekf_ros.study.recording import Recording, Start, Track
 from fnn_ekf_ros.study.rivals import innovation_based, multiple_model, sage_husa, variational_bayes
 from fnn_ekf_ros.study.rivals.innovation_based import InnovationBasedSettings
 from fnn_ekf_ros.study.rivals.multiple_model import MultipleModelSettings
 from fnn_ekf_ros.study.rivals.sage_husa import SageHusaSettings
-from fnn_ekf_ros.study.rivals.shared import AdaptedNoise, wheel_noise
+from fnn_ekf_ros.study.rivals.shared import AdaptedNoise, matmul, wheel_noise
 from fnn_ekf_ros.study.rivals.variational_bayes import VariationalBayesSettings
 
 ARC = MotionModel.EXACT_ARC
@@ -58,7 +59,7 @@ def drive(
     u = np.stack([np.full(phase.shape, 0.1125), 0.08 * np.sin(2.0 * np.pi * phase)], axis=-1)
     truth = np.zeros((steps + 1, runs, 3))
     for k in range(steps):
-        truth[k + 1] = move(ARC, truth[k], u[k]).mean
+        truth[k + 1] = move(ARC, truth[k].T, u[k].T).mean.T
     control = u + rng.normal(size=u.shape) * np.sqrt(Q_TRUE)
     z = truth[1:][..., [0, 1, 2, 2]]
     z = z + rng.normal(size=z.shape) * np.sqrt(R_TRUE)
@@ -103,9 +104,10 @@ def rmse(recording: Recording, track: Track) -> FloatArray:
 def last_process_noise(recording: Recording, track: Track) -> FloatArray:
     """Return Q as the last step, which had no measurement, reveals it."""
     assert not recording.available[-1].any()
-    motion = move(ARC, track.mean[-2], recording.control[-1])
-    A = motion.motion_jacobian
-    return wheel_noise(motion, track.covariance[-1] - A @ track.covariance[-2] @ A.swapaxes(-1, -2))
+    before, after = (np.moveaxis(P, 0, -1) for P in track.covariance[-2:])
+    motion = move(ARC, track.mean[-2].T, recording.control[-1].T)
+    A = motion.motion_jacobian()
+    return wheel_noise(motion, after - matmul(matmul(A, before), transpose(A))).T
 
 
 # --- scalar references -----------------------------------------------------------------------
@@ -225,10 +227,20 @@ def test_the_true_q_is_found_where_r_is_right(rival: Rival, wrong: float) -> Non
 
 def test_wheel_noise_undoes_its_own_projection() -> None:
     rng = np.random.default_rng(7)
-    motion = move(ARC, rng.normal(size=(50, 3)), rng.normal(size=(50, 2)))
-    Q = rng.uniform(0.1, 2.0, size=(50, 2))
-    W = motion.noise_jacobian
-    np.testing.assert_allclose(wheel_noise(motion, W * Q[:, None, :] @ W.swapaxes(1, 2)), Q)
+    motion = move(ARC, rng.normal(size=(3, 50)), rng.normal(size=(2, 50)))
+    Q = rng.uniform(0.1, 2.0, size=(2, 50))
+    W = motion.noise_jacobian()
+    np.testing.assert_allclose(wheel_noise(motion, matmul(W * Q, transpose(W))), Q)
+
+
+def test_wheel_noise_is_the_least_squares_solution() -> None:
+    rng = np.random.default_rng(23)
+    motion = move(ARC, rng.normal(size=(3, 1)), rng.normal(size=(2, 1)))
+    root = rng.normal(size=(3, 3))
+    back = np.linalg.pinv(motion.noise_jacobian()[..., 0])
+    expected = np.diagonal(back @ root @ root.T @ back.T)
+    M = (root @ root.T)[..., None]
+    np.testing.assert_allclose(wheel_noise(motion, M)[:, 0], expected)
 
 
 # --- what all of them must do ----------------------------------------------------------------
@@ -296,12 +308,12 @@ def test_innovation_based_takes_the_gain_of_the_rows_that_were_measured() -> Non
     settings = InnovationBasedSettings(AdaptedNoise.Q, window_length=2, first_use=1)
     track = innovation_based.run(ARC, recording, start, settings)
     x0 = np.stack([start.mean[0], track.mean[0, 0]])
-    motion = move(ARC, x0, recording.control[:2, 0])
-    r = recording.measurement[:2, 0, :2] - motion.mean[:, :2]
+    motion = move(ARC, x0.T, recording.control[:2, 0].T)
+    r = recording.measurement[:2, 0, :2] - motion.mean[:2].T
     H, R = np.eye(3)[:2], np.diag(R_TRUE[:2])
     P_minus = np.linalg.inv(np.linalg.inv(track.covariance[1, 0]) - H.T @ np.linalg.inv(R) @ H)
     K = P_minus @ H.T @ np.linalg.inv(H @ P_minus @ H.T + R)
-    back = np.linalg.pinv(motion.noise_jacobian[1])
+    back = np.linalg.pinv(motion.noise_jacobian()[..., 1])
     forward = (back @ K @ (r.T @ r / 2.0) @ K.T @ back.T)[0, 0]
     revealed = last_process_noise(recording, track)[0, 0]
     np.testing.assert_allclose(revealed, forward, rtol=1e-7)
@@ -331,6 +343,19 @@ def test_a_batch_of_starts_equals_one_by_one(rival: Rival) -> None:
                 np.testing.assert_allclose(part[:, 0], whole[:, i, j], rtol=1e-9, atol=1e-12)
 
 
+def test_robots_do_not_depend_on_the_block_they_are_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, start = drive(30, 5, 24)
+    wrong = np.array([0.04, 25.0])[:, None, None]
+    both = start._replace(process_noise=wrong * Q_TRUE)  # one Q for all runs
+    tracks = []
+    for at_once in (1, 500, 150_000):
+        monkeypatch.setattr(blocks, "NUMBERS_AT_ONCE", at_once)
+        tracks.append(multiple_model.run(ARC, recording, both, SMALL_BANK))
+    for one, few, all_of_them in zip(*tracks, strict=True):
+        np.testing.assert_allclose(one, all_of_them, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(few, all_of_them, rtol=1e-9, atol=1e-12)
+
+
 @every_rival
 def test_covariances_stay_positive_definite_from_any_start(rival: Rival) -> None:
     mask = np.random.default_rng(16).random((300, 2, 4)) < 0.8
@@ -357,7 +382,7 @@ def test_process_noise_is_in_proportion_to_the_period(rival: Rival) -> None:
 def test_the_motion_model_is_the_one_asked_for(rival: Rival) -> None:
     recording, start = drive(1, 2, 19, np.zeros(4, dtype=np.bool_))
     track = rival.run(MotionModel.PAPER, recording, start, rival.settings)
-    moved = move(MotionModel.PAPER, start.mean, recording.control[0]).mean
+    moved = move(MotionModel.PAPER, start.mean.T, recording.control[0].T).mean.T
     np.testing.assert_allclose(track.mean[0], moved, atol=1e-12)
 
 

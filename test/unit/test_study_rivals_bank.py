@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.bank import Bank, Noise, Readings, correct, innovate
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.rivals import multiple_model
@@ -105,28 +106,33 @@ def test_the_bank_is_independent_filters_weighted_by_their_likelihoods(
 
 
 def test_the_mixture_averages_angles_across_the_wrap() -> None:
-    mean = np.array([[1.0, 0.0, math.pi - 0.1], [3.0, 0.0, -math.pi + 0.3]])
-    x, P = multiple_model.mixture(np.array([0.75, 0.25]), mean, np.zeros((2, 3, 3)))
-    np.testing.assert_allclose(x, [1.5, 0.0, math.pi], atol=1e-12)
-    np.testing.assert_allclose(P[[0, 0, 2], [0, 2, 2]], [0.75, 0.15, 0.03], atol=1e-12)
+    mean = np.array([[1.0, 3.0], [0.0, 0.0], [math.pi - 0.1, -math.pi + 0.3]])
+    x, P = multiple_model.mixture(np.array([0.75, 0.25]), Bank(mean, np.zeros((3, 3, 2))))
+    np.testing.assert_allclose(x[:, 0], [1.5, 0.0, math.pi], atol=1e-12)
+    np.testing.assert_allclose(P[[0, 0, 2], [0, 2, 2], 0], [0.75, 0.15, 0.03], atol=1e-12)
 
 
 def test_the_mixture_measures_angles_from_the_likeliest_filter() -> None:
-    mean = np.array([[0.0, 0.0, -2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
-    x, _ = multiple_model.mixture(np.array([0.1, 0.6, 0.3]), mean, np.zeros((3, 3, 3)))
-    np.testing.assert_allclose(x, [0.0, 0.0, 0.4], atol=1e-12)
+    mean = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-2.0, 0.0, 2.0]])
+    x, _ = multiple_model.mixture(np.array([0.1, 0.6, 0.3]), Bank(mean, np.zeros((3, 3, 3))))
+    np.testing.assert_allclose(x[:, 0], [0.0, 0.0, 0.4], atol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [[], [0], [2, 3], [0, 1, 2], [0, 1, 2, 3]])
 def test_the_likelihood_is_the_normal_density_of_the_measured_rows(rows: list[int]) -> None:
-    root = np.random.default_rng(9).normal(size=(3, 3))
+    rng = np.random.default_rng(9)
+    root, z = rng.normal(size=(3, 3)), rng.normal(size=4)
     P, R = root @ root.T, np.array([0.5, 1.0, 2.0, 3.0])
     H = np.eye(3)[[0, 1, 2, 2]][rows]
     S = H @ P @ H.T + np.diag(R[rows])
-    expected = -0.5 * (1.5 + np.log(np.linalg.det(2.0 * math.pi * S)))
-    available = np.isin(np.arange(4), rows)
-    density = multiple_model.log_likelihood(np.array(1.5), P, R, available)
-    np.testing.assert_allclose(density, expected, rtol=1e-12)
+    nis = z[rows] @ np.linalg.inv(S) @ z[rows]
+    expected = -0.5 * (nis + np.log(np.linalg.det(2.0 * math.pi * S)))
+    bank, available = Bank(np.zeros((3, 1)), P[..., None]), np.isin(np.arange(4), rows)
+    seen = innovate(bank, Readings(z, available), R[:, None])
+    corrected = correct(bank, seen, Noise(np.zeros((2, 1)), R[:, None]), available)
+    count = np.array(len(rows))
+    density = multiple_model.log_density(corrected.nis, corrected.determinant, count)
+    np.testing.assert_allclose(density, [expected], rtol=1e-12)
 
 
 def test_the_bank_has_the_nine_by_nine_scales_of_the_grid() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.arrays import FloatArray, Row, components_first, components_last
 from fnn_ekf_ros.core.motion import MotionModel, displacement
 from fnn_ekf_ros.core.odometry import control_from_counts
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -54,7 +54,8 @@ def slip_of(recording: Recording, robot: FakeRobotParameters) -> FloatArray:
     heading = recording.truth[:-1, :, 2]
     missed = np.diff(recording.truth, axis=0)
     missed[..., 2] = wrap_angle(missed[..., 2])
-    missed -= displacement(MotionModel.EXACT_ARC, heading, recording.control)
+    control = components_first(recording.control)
+    missed -= components_last(displacement(MotionModel.EXACT_ARC, heading, control))
     along = heading + 0.5 * recording.control[..., 1]
     ahead = missed[..., 0] * np.cos(along) + missed[..., 1] * np.sin(along)
     return np.stack([ahead, missed[..., 2]], axis=-1)

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.core.arrays import Row
-from fnn_ekf_ros.core.filter import StepInput, start_filter, step
+from fnn_ekf_ros.core.arrays import Row, components_first, components_last
+from fnn_ekf_ros.core.filter import Epoch, step
+from fnn_ekf_ros.core.state import start_filter
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -146,14 +147,23 @@ def test_filters_are_the_localizers_own(
     track = study_filters(make_parameters(**shared))[name].run(recording, start)
     parameters = make_parameters(**shared, **changes)
     model = filter_model(parameters, networks_for(parameters))
-    state = start_filter(model, *start)
+    mean, P, Q, R = start
+    state = start_filter(
+        model,
+        components_first(mean),
+        components_first(P, 2),
+        components_first(Q),
+        components_first(R),
+    )
+    batch = mean.shape[:-1]
     for t in range(TINY.steps):
-        period = StepInput(
-            recording.control[t], recording.measurement[t], recording.available[t]
-        )  # fmt: skip
-        state, result = step(model, state, period)
-        np.testing.assert_array_equal(track.mean[t], state.mean)
-        np.testing.assert_array_equal(track.covariance[t], state.covariance)
+        control, z, available = (
+            components_first(np.broadcast_to(part[t], (*batch, part.shape[-1])))
+            for part in (recording.control, recording.measurement, recording.available)
+        )
+        state, result = step(model, state, (Epoch(control, 0.375, z, available),))
+        np.testing.assert_array_equal(track.mean[t], components_last(state.mean))
+        np.testing.assert_array_equal(track.covariance[t], components_last(state.covariance, 2))
         np.testing.assert_array_equal(track.nis[t], result.nis)
     assert np.all(track.degrees_of_freedom == 3.0)
 

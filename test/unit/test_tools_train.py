@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import diagonal_matrix
 from fnn_ekf_ros.core.fuzzy import infer
 from fnn_ekf_ros.membership.files import networks_for, read_membership, write_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -74,7 +73,7 @@ def test_the_packaged_set_beats_the_papers(
     rng = np.random.default_rng(31)
     recording = record(FakeRobotParameters(path="sim1"), NOMINAL, 400, 60, rng)
     R = recording.measurement_noise[0]
-    P = diagonal_matrix(R[:3])
+    P = np.diag(R[:3])
     mean = recording.truth[0] + np.sqrt(R[:3]) * rng.standard_normal((60, 3))
 
     def errors(mode: str, name: str, factor: float) -> np.ndarray:

@@ -54,7 +54,7 @@ def test_one_step_equals_the_one_by_hand() -> None:
     # E = (1/2 + 9/2) / 2; dE/dp0 = (1*1 + 3*3) / 2 = 5; dE/dp1 = (1 + 3) / 2 = 2.
     line = LearningNetwork(
         output=lambda p, x: p[0] * x + p[1],
-        gradient=lambda _, x: np.stack([x, np.ones_like(x)], axis=-1),
+        gradient=lambda _, x: np.stack([x, np.ones_like(x)]),
         feasible=lambda p: p,
     )
     start = np.array([2.0, 1.0])
@@ -148,7 +148,7 @@ def test_the_initial_sets_are_mended_where_descent_is_blind() -> None:
         assert getattr(same, name) == pytest.approx(getattr(initial, name)), name
     D = np.linspace(-3.0, 3.0, 61)
     gradient = five_layers(first).gradient(np.array(first), D)
-    assert np.all(np.max(np.abs(gradient), axis=0) > 1e-3)
+    assert np.all(np.max(np.abs(gradient), axis=-1) > 1e-3)
 
 
 def test_sets_in_another_unit_are_the_same_function() -> None:

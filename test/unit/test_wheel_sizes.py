@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.suspects import no_suspects
 from fnn_ekf_ros.pipeline.blame import CLEARED_LEAD, blame
 from fnn_ekf_ros.pipeline.events import Sensor
-from fnn_ekf_ros.pipeline.watch import Readings, Watch
+from fnn_ekf_ros.pipeline.watch import Leads, Readings, Watch
 from fnn_ekf_ros.pipeline.wheel_sizes import (
     LOOK_BACK_S,
     SMALLEST_PART,
@@ -119,14 +118,14 @@ def test_a_robot_at_rest_has_no_sizes() -> None:
 
 
 def test_wheels_are_blamed_unless_another_sensor_is_suspected() -> None:
-    nobody = no_suspects(np.zeros(3), np.eye(3))
-    seen = Watch(nobody, (Readings(), Readings()), 0, 0, steps=steps(0.2))
+    nobody = (Leads(0, (0.0, 0.0, 0.0)),)
+    seen = Watch((Readings(), Readings()), 0, 0, leads=nobody, steps=steps(0.2))
     found = blame(seen, SEPARATION)
     assert found.culprit is Sensor.ENCODERS
     assert found.sizes is not None
     assert in_words(found.sizes).startswith("the left wheel goes ")
     for leads in ((0.0, CLEARED_LEAD, 0.0), (0.0, 0.0, CLEARED_LEAD)):
-        suspected = seen._replace(suspects=nobody._replace(lead=np.array(leads)))
+        suspected = seen._replace(leads=(Leads(0, leads),))
         assert blame(suspected, SEPARATION).culprit is None
 
 

@@ -10,32 +10,39 @@ share of C_hat. Only diagonals are adapted. With both, R + H P- H' = C_hat whate
 that is settled on need not be the true one.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import (
     MEASUREMENT_SIZE,
+    STATE_OF_ROW,
     BoolArray,
     FloatArray,
-    diagonal_matrix,
+    diagonal_of,
     transpose,
 )
-from fnn_ekf_ros.core.kalman import MEASUREMENT_JACOBIAN, Correction, correct
+from fnn_ekf_ros.core.bank import Noise, Readings, correct, innovate, wrapped
+from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
 from fnn_ekf_ros.study.recording import Recording, Start, Track
 from fnn_ekf_ros.study.rivals.shared import (
     AdaptedNoise,
-    collect,
+    matmul,
+    one_filter,
     period_scale,
     predict,
     row_variances,
     shows_wheel_noise,
     wheel_noise,
-    whole_batch,
     within_limits,
 )
+
+_COMPONENTS = list(STATE_OF_ROW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +79,8 @@ class _Window(NamedTuple):
     """Each row's own last N innovations.
 
     Attributes:
-        innovations: `(..., N, 4)`, newest last, 0 where not filled.
-        counts: `(..., 4)` how many are filled.
+        innovations: `(N, 4, 1, *batch)`, newest last, 0 where not filled.
+        counts: `(4, 1, *batch)` how many are filled.
     """
 
     innovations: FloatArray
@@ -94,62 +101,67 @@ def run(
         start: pose and noise to start from.
         settings: what is adapted and by which window.
     """
-    mean, covariance, Q, R = whole_batch(recording, start)
-    scale = period_scale(recording)
+    numbers = NUMBERS_OF_A_FILTER + MEASUREMENT_SIZE * settings.window_length
+    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+
+
+def _filter(
+    motion_model: MotionModel,
+    settings: InnovationBasedSettings,
+    start: BlockStart,
+    epochs: Iterator[Epoch],
+) -> Iterator[Said]:
+    """Take some robots over all steps."""
+    bank, (Q, R, _) = one_filter(start)
+    scale = period_scale(start)
     adapts_Q = settings.adapted_noise is not AdaptedNoise.R
     adapts_R = settings.adapted_noise is not AdaptedNoise.Q
-    batch = mean.shape[:-1]
-    window = _Window(
-        np.zeros((*batch, settings.window_length, MEASUREMENT_SIZE)),
-        np.zeros((*batch, MEASUREMENT_SIZE)),
-    )
-    steps: list[Correction] = []
-    for control, z, available in zip(
-        recording.control, recording.measurement, recording.available, strict=True
-    ):
-        predicted = predict(motion_model, mean, covariance, control, Q * scale)
-        corrected = correct(
-            predicted.motion.mean, predicted.covariance, z, diagonal_matrix(R), available
-        )
-        mean, covariance = corrected.mean, corrected.covariance
-        steps.append(corrected)
+    window = _Window(np.zeros((settings.window_length, *R.shape)), np.zeros(R.shape))
+    for epoch in epochs:
+        predicted = predict(motion_model, bank, epoch.control, Q * scale)
+        seen = innovate(predicted.bank, Readings(epoch.measurement, epoch.available), R)
+        corrected = correct(predicted.bank, seen, Noise(Q, R), epoch.available)
+        bank = wrapped(corrected.bank)
+        yield Said(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
 
-        window = _push(window, corrected.innovation, available)
+        available = epoch.available[:, None]
+        window = _push(window, seen.innovation, available)
         C = _innovation_covariance(window)
         teaches = available & (window.counts >= settings.first_use)
         if adapts_Q:
-            K = _gain(covariance, R, available)  # this step's, before R changes
-            sample = wheel_noise(predicted.motion, K @ C @ transpose(K)) / scale
+            K = _gain(bank.covariance, R, available)  # this step's, before R changes
+            state_noise = matmul(matmul(K, C), transpose(K))
+            sample = wheel_noise(predicted.motion, state_noise) / scale
             Q = np.where(shows_wheel_noise(teaches), within_limits(sample), Q)
         if adapts_R:
-            variance = np.diagonal(C, axis1=-2, axis2=-1)
+            variance = diagonal_of(C)
             sample = np.maximum(
-                variance - row_variances(predicted.covariance), settings.smallest_share * variance
+                variance - row_variances(predicted.bank.covariance),
+                settings.smallest_share * variance,
             )
             R = np.where(teaches, within_limits(sample), R)
-    return collect(steps)
 
 
 def _push(window: _Window, innovation: FloatArray, available: BoolArray) -> _Window:
     """Return the window with one more innovation in the rows that have one."""
-    shifted = np.concatenate([window.innovations[..., 1:, :], innovation[..., None, :]], axis=-2)
-    length = float(window.innovations.shape[-2])
+    shifted = np.concatenate([window.innovations[1:], innovation[None]])
+    length = float(len(window.innovations))
     return _Window(
-        np.where(available[..., None, :], shifted, window.innovations),
+        np.where(available, shifted, window.innovations),
         np.minimum(window.counts + available, length),
     )
 
 
 def _innovation_covariance(window: _Window) -> FloatArray:
-    """Return C_hat, `(..., 4, 4)`: positive semidefinite however differently rows are filled."""
-    count = np.maximum(window.counts, 1.0)
-    r = window.innovations / np.sqrt(count)[..., None, :]
-    return transpose(r) @ r
+    """Return C_hat, `(4, 4, 1, *batch)`: positive semidefinite however the rows are filled."""
+    r, root = window.innovations, np.sqrt(np.maximum(window.counts, 1.0))
+    C: FloatArray = np.einsum("ni...,nj...->ij...", r, r) / (root[:, None] * root[None])
+    return C
 
 
 def _gain(
     covariance: FloatArray, measurement_noise: FloatArray, available: BoolArray
 ) -> FloatArray:
-    """Return K = P H' R^-1, `(..., 3, 4)`; columns of rows that were not measured are 0."""
-    H = MEASUREMENT_JACOBIAN * available[..., :, None]
-    return covariance @ transpose(H) / measurement_noise[..., None, :]
+    """Return K = P H' R^-1, `(3, 4, 1, *batch)`; columns of rows not measured are 0."""
+    K: FloatArray = covariance[:, _COMPONENTS] * (available / measurement_noise)
+    return K

@@ -15,23 +15,29 @@ The weight of a filter that is wrong falls exponentially and, where the noise ch
 long to come back. A floor under the weights shortens that (Maybeck 1982, section 10.8).
 """
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray, Row, diagonal_matrix
-from fnn_ekf_ros.core.kalman import Correction, correct
-from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.study.recording import Recording, Start, Track
-from fnn_ekf_ros.study.rivals.shared import (
-    collect,
-    outer,
-    period_scale,
-    pose_difference,
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.bank import (
+    Bank,
+    Noise,
+    Readings,
+    correct,
+    innovate,
     predict,
-    whole_batch,
+    wrapped,
 )
+from fnn_ekf_ros.core.filter import Epoch
+from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
+from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.study.rivals.shared import one_filter, outer, period_scale, pose_difference
 
 NINE_SCALES = tuple(5.0 ** (half / 2.0) for half in range(-4, 5))
 """1/25 to 25 times a variance, evenly in the logarithm."""
@@ -80,100 +86,90 @@ def run(
     Returns:
         The track of the mixture; its `nis` is that of the mixture's prediction.
     """
-    start = whole_batch(recording, start)
-    Q, R = _bank_noise(start, settings)
-    step_noise, R_matrix = Q * period_scale(recording), diagonal_matrix(R)
-    count = len(Q)
-    mean = np.broadcast_to(start.mean, (count, *start.mean.shape))
-    covariance = np.broadcast_to(start.covariance, (count, *start.covariance.shape))
-    log_weight = np.full((count, *start.mean.shape[:-1]), -np.log(count))
-    steps: list[Correction] = []
-    for control, z, available in zip(
-        recording.control, recording.measurement, recording.available, strict=True
-    ):
-        predicted = predict(motion_model, mean, covariance, control, step_noise)
-        corrected = correct(predicted.motion.mean, predicted.covariance, z, R_matrix, available)
+    filters = len(settings.process_scales) * len(settings.measurement_scales)
+    numbers = NUMBERS_OF_A_FILTER * filters
+    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+
+
+def _filter(
+    motion_model: MotionModel,
+    settings: MultipleModelSettings,
+    start: BlockStart,
+    epochs: Iterator[Epoch],
+) -> Iterator[Said]:
+    """Take some robots over all steps."""
+    one, noise_at_start = one_filter(start)
+    noise = _bank_noise(noise_at_start, settings)
+    Q = noise.process * period_scale(start)
+    count = Q.shape[1]
+    bank = Bank(*(np.repeat(part, count, axis=part.ndim - start.mean.ndim) for part in one))
+    log_weight = np.full(Q.shape[1:], -np.log(count))
+    for epoch in epochs:
+        readings = Readings(epoch.measurement, epoch.available)
+        predicted = predict(motion_model, bank, epoch.control, Q)
+        seen = innovate(predicted, readings, noise.measurement)
+        corrected = correct(predicted, seen, noise, epoch.available)
+
         weight = np.exp(log_weight)
-        expected = mixture(weight, predicted.motion.mean, predicted.covariance)
-        R_expected = diagonal_matrix(np.sum(weight[..., None] * R, axis=0))
-        # Mixing commutes with the linear H: this S is the mixture of the filters' S.
-        step = correct(*expected, z, R_expected, available)
-
-        log_weight = _normalised(
-            log_weight + log_likelihood(corrected.nis, predicted.covariance, R, available),
-            settings.smallest_weight,
+        expected = mixture(weight, predicted)
+        expected_noise = Noise(
+            np.sum(weight * Q, axis=1, keepdims=True),
+            np.sum(weight * noise.measurement, axis=1, keepdims=True),
         )
-        mean, covariance = corrected.mean, corrected.covariance
-        x, P = mixture(np.exp(log_weight), mean, covariance)
-        steps.append(step._replace(mean=x, covariance=P))
-    return collect(steps)
+        # Mixing commutes with the linear H: this S is the mixture of the filters' S.
+        seen = innovate(expected, readings, expected_noise.measurement)
+        nis = correct(expected, seen, expected_noise, epoch.available).nis
+
+        rows = np.sum(epoch.available, axis=0)
+        likelihood = log_density(corrected.nis, corrected.determinant, rows)
+        log_weight = _normalised(log_weight + likelihood, settings.smallest_weight)
+        bank = wrapped(corrected.bank)
+        said = mixture(np.exp(log_weight), bank)
+        yield Said(said.mean[:, 0], said.covariance[:, :, 0], nis[0])
 
 
-def log_likelihood(
-    nis: FloatArray,
-    covariance: FloatArray,
-    measurement_noise: FloatArray,
-    available: BoolArray,
-) -> FloatArray:
-    """Return log N(r; 0, S), `(...)`, over the rows that were measured; 0 if none was.
+def log_density(nis: FloatArray, determinant: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return log N(r; 0, S), `(F, *batch)`; 0 where nothing was measured.
 
     Args:
-        nis: `(...)` r' S^-1 r.
-        covariance: `(..., 3, 3)` P-.
-        measurement_noise: `(..., 4)` diagonal of R.
-        available: `(..., 4)` which rows were measured.
+        nis: `(F, *batch)` r' S^-1 r of the rows that were measured.
+        determinant: `(F, *batch)` det S of these rows.
+        rows: `(*batch)` how many these are.
     """
-    # det S = det R det(I + P- H' R^-1 H), and H' R^-1 H is diagonal: 3x3 whatever was measured.
-    information = available / measurement_noise
-    J = np.concatenate(
-        [
-            information[..., : Row.COMPASS_YAW],
-            np.sum(information[..., Row.COMPASS_YAW :], axis=-1, keepdims=True),
-        ],
-        axis=-1,
-    )
-    log_determinant = np.sum(
-        np.where(available, np.log(2.0 * np.pi * measurement_noise), 0.0), axis=-1
-    ) + np.log(np.linalg.det(np.eye(STATE_SIZE) + covariance * J[..., None, :]))
-    log_density: FloatArray = -0.5 * (nis + log_determinant)
-    return log_density
+    density: FloatArray = -0.5 * (nis + np.log(determinant) + rows * math.log(2.0 * math.pi))
+    return density
 
 
-def mixture(
-    weight: FloatArray, mean: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance of a mixture of poses; the filters are the first dimension.
+def mixture(weight: FloatArray, bank: Bank) -> Bank:
+    """Return mean and covariance of a mixture of poses, as a bank of one filter.
 
     Args:
-        weight: `(filters, ...)`, 1 in sum over the filters.
-        mean: `(filters, ..., 3)` (m, m, rad).
-        covariance: `(filters, ..., 3, 3)`.
+        weight: `(F, *batch)`, 1 in sum over the filters.
+        bank: the F filters.
     """
     # Angles are averaged as differences from the likeliest filter's: pi and -pi are neighbours.
-    likeliest = np.argmax(weight, axis=0)[None, ..., None]
-    reference = np.take_along_axis(mean, likeliest, axis=0)[0]
-    from_reference = pose_difference(mean, reference)
-    x = reference + np.sum(weight[..., None] * from_reference, axis=0)
-    x = np.concatenate([x[..., :2], wrap_angle(x[..., 2:])], axis=-1)
-    spread = covariance + outer(pose_difference(mean, x))
-    P: FloatArray = np.sum(weight[..., None, None] * spread, axis=0)
-    return x, P
+    likeliest = np.argmax(weight, axis=0)[None, None]
+    reference = np.take_along_axis(bank.mean, likeliest, axis=1)
+    from_reference = pose_difference(bank.mean, reference)
+    x = reference + np.sum(weight * from_reference, axis=1, keepdims=True)
+    x[2] = wrap_angle(x[2])
+    spread = bank.covariance + outer(pose_difference(bank.mean, x))
+    return Bank(x, np.sum(weight * spread, axis=2, keepdims=True))
 
 
-def _bank_noise(start: Start, settings: MultipleModelSettings) -> tuple[FloatArray, FloatArray]:
-    """Return the diagonals of Q `(filters, ..., 2)` and R `(filters, ..., 4)` of the bank."""
+def _bank_noise(start: Noise, settings: MultipleModelSettings) -> Noise:
+    """Return the noise of the bank's filters, from that of one filter."""
     process, measurement = np.meshgrid(
         settings.process_scales, settings.measurement_scales, indexing="ij"
     )
-    shape = (-1, *(1,) * start.process_noise.ndim)
-    return (
-        start.process_noise * process.reshape(shape),
-        start.measurement_noise * measurement.reshape(shape),
+    shape = (1, -1, *(1,) * (start.process.ndim - 2))
+    return Noise(
+        start.process * process.reshape(shape), start.measurement * measurement.reshape(shape)
     )
 
 
 def _normalised(log_weight: FloatArray, smallest_weight: float) -> FloatArray:
-    """Return the logarithms of weights `(filters, ...)` that sum to one and keep to the floor."""
+    """Return the logarithms of weights `(F, *batch)` that sum to one and keep to the floor."""
     log_weight = log_weight - np.max(log_weight, axis=0)
     log_weight = log_weight - np.log(np.sum(np.exp(log_weight), axis=0))
     if smallest_weight == 0.0:

@@ -16,17 +16,21 @@ from an R that is far too large or small, and both together settle on a pair of 
 not be the true one: that is the method's nature.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray, diagonal_matrix
-from fnn_ekf_ros.core.kalman import Correction, correct
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.bank import Noise, Readings, correct, innovate, wrapped
+from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
 from fnn_ekf_ros.study.recording import Recording, Start, Track
 from fnn_ekf_ros.study.rivals.shared import (
     AdaptedNoise,
-    collect,
+    one_filter,
     outer,
     period_scale,
     pose_difference,
@@ -35,7 +39,6 @@ from fnn_ekf_ros.study.rivals.shared import (
     row_variances,
     shows_wheel_noise,
     wheel_noise,
-    whole_batch,
     within_limits,
 )
 
@@ -71,35 +74,42 @@ def run(
         start: pose and noise to start from.
         settings: what is adapted and how fast it fades.
     """
-    mean, covariance, Q, R = whole_batch(recording, start)
-    scale = period_scale(recording)
+    numbers = NUMBERS_OF_A_FILTER
+    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+
+
+def _filter(
+    motion_model: MotionModel,
+    settings: SageHusaSettings,
+    start: BlockStart,
+    epochs: Iterator[Epoch],
+) -> Iterator[Said]:
+    """Take some robots over all steps."""
+    bank, (Q, R, _) = one_filter(start)
+    scale = period_scale(start)
     adapts_Q = settings.adapted_noise is not AdaptedNoise.R
     adapts_R = settings.adapted_noise is not AdaptedNoise.Q
     Q_count, R_count = np.zeros(Q.shape), np.zeros(R.shape)
-    steps: list[Correction] = []
-    for control, z, available in zip(
-        recording.control, recording.measurement, recording.available, strict=True
-    ):
-        predicted = predict(motion_model, mean, covariance, control, Q * scale)
-        corrected = correct(
-            predicted.motion.mean, predicted.covariance, z, diagonal_matrix(R), available
-        )
-        mean, covariance = corrected.mean, corrected.covariance
-        steps.append(corrected)
+    for epoch in epochs:
+        predicted = predict(motion_model, bank, epoch.control, Q * scale)
+        seen = innovate(predicted.bank, Readings(epoch.measurement, epoch.available), R)
+        corrected = correct(predicted.bank, seen, Noise(Q, R), epoch.available)
+        bank = wrapped(corrected.bank)
+        yield Said(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
 
-        Kr = pose_difference(mean, predicted.motion.mean)
+        available = epoch.available[:, None]
+        Kr = pose_difference(bank.mean, predicted.bank.mean)
         if adapts_R:
-            e = corrected.innovation - row_values(Kr)
+            e = seen.innovation - row_values(Kr)
             R_count = R_count + available
             d = np.where(available, _share(settings.fading, R_count), 0.0)
-            R = within_limits((1.0 - d) * R + d * (e * e + row_variances(covariance)))
+            R = within_limits((1.0 - d) * R + d * (e * e + row_variances(bank.covariance)))
         if adapts_Q:
             shown = shows_wheel_noise(available)
             Q_count = Q_count + shown
             d = np.where(shown, _share(settings.fading, Q_count), 0.0)
             sample = wheel_noise(predicted.motion, outer(Kr)) / scale
             Q = within_limits((1.0 - d) * Q + d * sample)
-    return collect(steps)
 
 
 def _share(fading: float, count: FloatArray) -> FloatArray:

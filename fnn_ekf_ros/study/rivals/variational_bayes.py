@@ -13,23 +13,34 @@ other. With m, P the state's mean and covariance, each step
 estimates R only. Its linear prediction is the extended Kalman filter's here.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, diagonal_matrix
-from fnn_ekf_ros.core.kalman import Correction, correct
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
+from fnn_ekf_ros.core.bank import (
+    Bank,
+    Correction,
+    Innovations,
+    Noise,
+    Readings,
+    correct,
+    innovate,
+    predict,
+    wrapped,
+)
+from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
 from fnn_ekf_ros.study.recording import Recording, Start, Track
 from fnn_ekf_ros.study.rivals.shared import (
-    Prediction,
-    collect,
+    one_filter,
     period_scale,
     pose_difference,
-    predict,
     row_values,
     row_variances,
-    whole_batch,
 )
 
 
@@ -75,49 +86,62 @@ def run(
     Returns:
         The track; its `nis` is with R as it was before the step's own innovation taught anything.
     """
-    mean, covariance, process_noise, measurement_noise = whole_batch(recording, start)
-    step_noise = process_noise * period_scale(recording)
-    alpha = np.full(measurement_noise.shape, settings.start_confidence)
-    beta = alpha * measurement_noise
-    steps: list[Correction] = []
-    for control, z, available in zip(
-        recording.control, recording.measurement, recording.available, strict=True
-    ):
-        predicted = predict(motion_model, mean, covariance, control, step_noise)
-        before = correct(
-            predicted.motion.mean, predicted.covariance, z, diagonal_matrix(beta / alpha), available
-        )
+    numbers = NUMBERS_OF_A_FILTER
+    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+
+
+def _filter(
+    motion_model: MotionModel,
+    settings: VariationalBayesSettings,
+    start: BlockStart,
+    epochs: Iterator[Epoch],
+) -> Iterator[Said]:
+    """Take some robots over all steps."""
+    bank, noise = one_filter(start)
+    Q = noise.process * period_scale(start)
+    alpha = np.full(noise.measurement.shape, settings.start_confidence)
+    beta = alpha * noise.measurement
+    for epoch in epochs:
+        predicted = predict(motion_model, bank, epoch.control, Q)
+        R = beta / alpha
+        seen = innovate(predicted, Readings(epoch.measurement, epoch.available), R)
+        before = correct(predicted, seen, Noise(Q, R), epoch.available)
         # A row that was not measured keeps what it knows, whether or not time passes.
+        available = epoch.available[:, None]
         forgetting = np.where(available, settings.forgetting, 1.0)
         alpha = forgetting * alpha + 0.5 * available
         corrected, beta = _fixed_point(
-            predicted, z, available, alpha, forgetting * beta, settings.iterations
+            predicted, seen, Q, available, alpha, forgetting * beta, settings.iterations
         )
-        mean, covariance = corrected.mean, corrected.covariance
-        steps.append(corrected._replace(nis=before.nis))
-    return collect(steps)
+        bank = wrapped(corrected.bank)
+        yield Said(bank.mean[:, 0], bank.covariance[:, :, 0], before.nis[0])
 
 
 def _fixed_point(
-    predicted: Prediction,
-    measurement: FloatArray,
+    predicted: Bank,
+    seen: Innovations,
+    process_noise: FloatArray,
     available: BoolArray,
     alpha: FloatArray,
     beta_before: FloatArray,
     iterations: int,
 ) -> tuple[Correction, FloatArray]:
-    """Return the correction and beta after so many iterations."""
+    """Return the correction and beta after so many iterations.
+
+    Args:
+        predicted: m-, P-.
+        seen: the innovations; they are the same in all iterations.
+        process_noise: `(2, 1, *batch)` Q, which does not change.
+        available: `(4, 1, *batch)` which rows were measured.
+        alpha: `(4, 1, *batch)` after the step.
+        beta_before: `(4, 1, *batch)` beta-.
+        iterations: one at the least.
+    """
     beta = beta_before
     for _ in range(iterations):
-        corrected = correct(
-            predicted.motion.mean,
-            predicted.covariance,
-            measurement,
-            diagonal_matrix(beta / alpha),
-            available,
-        )
+        corrected = correct(predicted, seen, Noise(process_noise, beta / alpha), available[:, 0])
         # H is linear, so z - H m is the innovation less what the state moved.
-        moved = row_values(pose_difference(corrected.mean, predicted.motion.mean))
-        square = (corrected.innovation - moved) ** 2 + row_variances(corrected.covariance)
+        moved = row_values(pose_difference(corrected.bank.mean, predicted.mean))
+        square = (seen.innovation - moved) ** 2 + row_variances(corrected.bank.covariance)
         beta = beta_before + 0.5 * np.where(available, square, 0.0)
     return corrected, beta
