@@ -6,7 +6,7 @@ better the one predicts a measurement than the other is the score, and how diffe
 predict it is the information a measurement holds about the scale (Fisher's, Gauss-Newton form):
 
     d_i  = (l_i+ - l_i-) / 2h
-    i_ij = sum over rows of  1/2 s_i s_j + g_i g_j
+    i_ij = (nu + n)/(nu + n + 2) sum over rows of  1/2 s_i s_j + g_i g_j
            s_i = (log S_i+ - log S_i-) / 2h,   g_i = (r_i+ - r_i-) / (2h sqrt(S))
 
 The first term is the mismatch's share, the second the whiteness': it tells a gain that is too

@@ -132,7 +132,7 @@ def follow(
         gate: how far a reading may be off to agree.
         remembered: by the gate, before the instant.
         candidate: before the readings; not changed.
-        beside: its filter; where there is none, the published one.
+        beside: its filter; it means nothing for robots that have no candidate.
         published: `(1, *batch)` the published filter after the readings.
         readings: of the instant.
         verdict: what the gate says about them.

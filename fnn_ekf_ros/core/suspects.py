@@ -66,7 +66,7 @@ def lead_after(lead: FloatArray, likelihood: FloatArray, scored: BoolArray) -> F
     gained = np.minimum(np.maximum(likelihood[1:] - likelihood[0], -LARGEST_GAIN), LARGEST_GAIN)
     led = lead + gained
     led = np.maximum(led - np.maximum(led.max(axis=0) - LONGEST_LEAD, 0.0), 0.0)
-    # A filter that left the finite numbers is cleared, which starts it again.
+    # Where a filter left the finite numbers all are cleared, which starts them again.
     return np.where(scored, np.where(np.isfinite(led), led, 0.0), lead)
 
 
