@@ -21,7 +21,6 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import (
-    MEASUREMENT_SIZE,
     STATE_OF_ROW,
     BoolArray,
     FloatArray,
@@ -30,12 +29,9 @@ from fnn_ekf_ros.core.arrays import (
 from fnn_ekf_ros.core.covariance import limit_uncertainty
 from fnn_ekf_ros.core.limits import SMALLEST_STD
 from fnn_ekf_ros.core.motion import Motion, MotionModel, move
+from fnn_ekf_ros.core.rows import FIX_ROWS, in_order
 
-FIX_ROWS = (Row.X, Row.Y, Row.LRF_YAW)
-"""Rows of a fix, in the order of its covariance."""
-_ORDER = (*FIX_ROWS, Row.COMPASS_YAW)
-"""In which rows are taken: after those of the fix its NIS is known, whatever the compass says."""
-_COMPONENTS = list(STATE_OF_ROW)
+_COMPONENTS = np.array(STATE_OF_ROW)
 
 
 class Bank(NamedTuple):
@@ -221,7 +217,7 @@ def correct(bank: Bank, seen: Innovations, noise: Noise, rows: BoolArray) -> Cor
     x = np.zeros((len(P), *P.shape[2:]))
     nis, determinant = np.zeros(x.shape[1:]), np.ones(x.shape[1:])
     fix_nis = nis
-    for row, some in _in_order(rows):
+    for row, some in in_order(rows):
         if row is Row.COMPASS_YAW:
             fix_nis = nis.copy()
         i, d = STATE_OF_ROW[row], noise.measurement[row]
@@ -335,11 +331,3 @@ def noise_of_readings(
             np.broadcast_to(yaw_left, scale.shape[1:]),
         ),
     )
-
-
-def _in_order(rows: BoolArray) -> list[tuple[Row, BoolArray | None]]:
-    """Return the rows that are taken, each with its robots; None: all of them."""
-    flat = rows.reshape(MEASUREMENT_SIZE, -1)
-    some = np.logical_or.reduce(flat, axis=1).tolist()
-    all_of_them = np.logical_and.reduce(flat, axis=1).tolist()
-    return [(row, None if all_of_them[row] else rows[row]) for row in _ORDER if some[row]]

@@ -6,14 +6,14 @@ from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, select
 from fnn_ekf_ros.core.bank import Bank, Noise, correct, innovate, noise_of_readings
 from fnn_ekf_ros.core.gate import Verdict
 from fnn_ekf_ros.core.instant import Instant
-from fnn_ekf_ros.core.relocation import Beside, Candidate, Relocation, follow, nis_by_sensor
+from fnn_ekf_ros.core.relocation import Beside, Candidate, Followed, follow, nis_by_sensor
 from fnn_ekf_ros.core.state import PUBLISHED, FilterModel, FilterState, reset_pose
 
 
 def follow_candidate(
     model: FilterModel, state: FilterState, instant: Instant, verdict: Verdict, corrected: Bank
-) -> tuple[Candidate, Bank, Relocation]:
-    """Take the candidate on, or start one; returns its filter, too."""
+) -> Followed:
+    """Take the candidate on, or start one."""
     if state.has_candidate(model):
         beside = _beside(model, state, instant)
     else:
@@ -34,7 +34,14 @@ def follow_candidate(
     )
 
 
-def with_candidate(
+def with_candidate(model: FilterModel, state: FilterState, followed: Followed) -> FilterState:
+    """Return the state with the candidate, or at the candidate's pose where it is confirmed."""
+    state = _with_filter(model, state, followed.candidate, followed.place)
+    confirmed = followed.relocation.confirmed
+    return _relocated(model, state, confirmed) if confirmed.any() else state
+
+
+def _with_filter(
     model: FilterModel, state: FilterState, candidate: Candidate, place: Bank
 ) -> FilterState:
     """Return the state with the candidate's filter in the bank, where any robot has one."""
@@ -56,7 +63,7 @@ def with_candidate(
     )
 
 
-def relocated(model: FilterModel, state: FilterState, confirmed: BoolArray) -> FilterState:
+def _relocated(model: FilterModel, state: FilterState, confirmed: BoolArray) -> FilterState:
     """Return the filters of robots that a candidate was confirmed for at its pose."""
     place = state.bank.filters(model.layout.candidate)
     moved = reset_pose(model, state, place.mean[:, 0], place.covariance[:, :, 0])

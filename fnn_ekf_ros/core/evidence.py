@@ -26,7 +26,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
+from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.rows import Rows
 
 SCALES = ("forward", "heading", "position", "yaw")
 """The log scales: Q of way and turn, R of the fixes' position, R of compass and fixes' yaw."""
@@ -73,8 +74,7 @@ def star_evidence(
     innovation: FloatArray,
     variance: FloatArray,
     likelihood: FloatArray,
-    teaches: BoolArray,
-    rows: FloatArray,
+    taught: Rows,
 ) -> Evidence:
     """Return what the stars of L learners say, `(4, L, *batch)` and `(4, 4, L, *batch)`.
 
@@ -82,8 +82,7 @@ def star_evidence(
         innovation: `(4, 9, L, *batch)` r, 0 where not available; filters as in `STAR`.
         variance: `(4, 9, L, *batch)` diagonal of S.
         likelihood: `(9, L, *batch)` of all rows together.
-        teaches: `(4, *batch)` which rows are learned from.
-        rows: `(*batch)` how many these are.
+        taught: which rows are learned from.
     """
     share = _slope(np.log(variance), 1)
     lead = innovation[:, 1::2] - innovation[:, 2::2]
@@ -91,11 +90,12 @@ def star_evidence(
     lead /= 2.0 * NEIGHBOUR_STEP * np.sqrt(variance[:, :1])
     share *= math.sqrt(0.5)
     both = np.concatenate([share, lead])
-    both *= np.concatenate([teaches, teaches])[:, None, None]
-    nu = TAIL_DEGREES_OF_FREEDOM
+    if not taught.each.all():
+        both *= np.concatenate([taught.each, taught.each])[:, None, None]
+    nu, n = TAIL_DEGREES_OF_FREEDOM, taught.total
     information = (both[:, :, None] * both[:, None]).sum(axis=0)
     # Fisher's information of Student's t is smaller by this factor.
-    return Evidence(_slope(likelihood, 0), information * ((nu + rows) / (nu + rows + 2.0)))
+    return Evidence(_slope(likelihood, 0), information * ((nu + n) / (nu + n + 2.0)))
 
 
 def _slope(of_star: FloatArray, axis: int) -> FloatArray:

@@ -22,7 +22,6 @@ from fnn_ekf_ros.core.arrays import (
     diagonal_of,
 )
 from fnn_ekf_ros.core.bank import (
-    FIX_ROWS,
     Bank,
     Readings,
     correct,
@@ -31,21 +30,18 @@ from fnn_ekf_ros.core.bank import (
     predict,
     wrapped,
 )
-from fnn_ekf_ros.core.candidate import follow_candidate, relocated, with_candidate
+from fnn_ekf_ros.core.candidate import follow_candidate, with_candidate
 from fnn_ekf_ros.core.evidence import log_likelihood
 from fnn_ekf_ros.core.gate import (
-    SENSOR_COUNT,
     GateState,
     Verdict,
     after_verdict,
     judge,
-    rows_by_sensor,
     rows_of,
     teaching,
 )
 from fnn_ekf_ros.core.instant import Instant
 from fnn_ekf_ros.core.joint import (
-    JointState,
     Learned,
     Lesson,
     fading,
@@ -62,11 +58,15 @@ from fnn_ekf_ros.core.pace import (
     later,
     scored_rows,
 )
-from fnn_ekf_ros.core.relocation import (
-    Relocation,
-    nis_by_sensor,
+from fnn_ekf_ros.core.relocation import Followed, nis_by_sensor
+from fnn_ekf_ros.core.results import (
+    Epoch,
+    Shown,
+    StepResult,
+    last_of_each_row,
+    nothing_shown,
 )
-from fnn_ekf_ros.core.results import Epoch, Shown, StepResult, last_of_each_row
+from fnn_ekf_ros.core.rows import FIX_ROWS, Rows, rows_where
 from fnn_ekf_ros.core.state import (
     JOINT,
     PUBLISHED,
@@ -74,12 +74,7 @@ from fnn_ekf_ros.core.state import (
     FilterState,
     with_noise,
 )
-from fnn_ekf_ros.core.suspects import (
-    LARGEST_NIS,
-    correct_robustly,
-    lead_after,
-    restarted,
-)
+from fnn_ekf_ros.core.suspect_filters import suspects_after
 from fnn_ekf_ros.core.window import push
 
 __all__ = [
@@ -93,7 +88,6 @@ __all__ = [
     "step",
 ]
 
-_COMPONENTS = list(STATE_OF_ROW)
 _ONES = Constant([1.0] * MEASUREMENT_SIZE)
 
 
@@ -115,7 +109,7 @@ def step(
         state, seen = fuse(model, state, epoch)
         if seen is not None:
             shown.append(seen)
-    last = last_of_each_row(shown) if shown else _nothing(state, begin.measurement_noise)
+    last = last_of_each_row(shown) if shown else _nothing(begin, state)
     teaches = last.teaches & ~last.relocated
     window = push(state.window, last.innovation, teaches)
     adapted = adapt(
@@ -150,6 +144,12 @@ def step(
     )
 
 
+def _nothing(begin: FilterState, end: FilterState) -> Shown:
+    """Return what a period without readings shows."""
+    variance = end.covariance[list(STATE_OF_ROW), list(STATE_OF_ROW)]
+    return nothing_shown(end.mean[2], variance + begin.measurement_noise)
+
+
 def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterState, Shown | None]:
     """Take the filter to the next instant.
 
@@ -165,9 +165,49 @@ def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterSt
     Q = elapsed * state.noise.process
     predicted = predict(model.motion_model, state.bank, epoch.control, Q)
     state = _later(model, state, epoch, elapsed)
-    if not epoch.available.any():
+    rows = rows_where(epoch.available)
+    if not rows.some.any():
         return _alarm_faded(model, state._replace(bank=wrapped(predicted))), None
 
+    instant = _instant(model, state, epoch, predicted, rows)
+    verdict = judge(
+        model.gate, state.gate, nis_by_sensor(instant.seen, instant.taken, 0), rows.of_sensor
+    )
+    corrected, teaches = instant.taken.bank, epoch.available
+    followed = None
+    rejects = bool(verdict.rejected.any())
+    if rejects:
+        accepted = epoch.available & ~rows_of(verdict.rejected)
+        corrected = instant.corrected_by(accepted, slice(0, model.layout.suspects.start)).bank
+    if rejects or state.has_candidate(model):
+        followed = follow_candidate(model, state, instant, verdict, corrected)
+        explains = followed.relocation.explains
+        teaches = epoch.available & rows_of(teaching(state.gate, verdict, explains))
+    scored = scored_rows(state.pace, rows)
+    steps = is_step(state.pace, scored)
+    bank, lead = _corrected_bank(model, state, instant, corrected, scored)
+    learned = None
+    if state.joint is not None:
+        state, learned = _learn(model, state, instant, bank, teaches, scored, steps)
+    state = state._replace(
+        bank=wrapped(bank),
+        gate=_gate_after(model, state, verdict, followed),
+        lead=lead,
+        pace=after_readings(state.pace, rows, scored, steps),
+    )
+    if followed is not None:
+        state = with_candidate(model, state, followed)
+    if learned is not None and state.joint is not None:
+        state = with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
+    else:
+        state = _alarm_faded(model, state)
+    return state, _shown(model, epoch, instant, verdict, teaches, followed, learned)
+
+
+def _instant(
+    model: FilterModel, state: FilterState, epoch: Epoch, predicted: Bank, rows: Rows
+) -> Instant:
+    """Return an instant with readings, whose filters are predicted to it."""
     readings = Readings(epoch.measurement, epoch.available)
     compared = model.layout.compared
     noise = noise_of_readings(
@@ -178,53 +218,33 @@ def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterSt
     )
     seen = innovate(predicted.filters(compared), readings, noise.measurement)
     taken = correct(predicted, seen, noise, epoch.available)
-    sensor_rows = rows_by_sensor(epoch.available)
-    instant = Instant(predicted, readings, noise, seen, taken, sensor_rows, epoch.fix_covariance)
+    return Instant(predicted, readings, rows, noise, seen, taken, epoch.fix_covariance)
 
-    nis = nis_by_sensor(seen, taken, 0)
-    verdict = judge(model.gate, state.gate, nis, instant.sensor_rows)
-    corrected, teaches = taken.bank, epoch.available
-    relocation, candidate, place = None, state.candidate, None
-    rejects = bool(verdict.rejected.any())
-    if rejects:
-        accepted = epoch.available & ~rows_of(verdict.rejected)
-        corrected = instant.corrected_by(accepted, slice(0, model.layout.suspects.start)).bank
-    if rejects or state.has_candidate(model):
-        candidate, place, relocation = follow_candidate(model, state, instant, verdict, corrected)
-        teaches = epoch.available & rows_of(teaching(state.gate, verdict, relocation.explains))
-    scored = scored_rows(state.pace, epoch.available, instant.sensor_rows)
-    bank, lead = _corrected_bank(model, state, instant, corrected, scored)
-    joint, learned = state.joint, None
-    if joint is not None:
-        joint, learned = _learn(model, state, joint, instant, bank, teaches, scored)
-    state = state._replace(
-        bank=wrapped(bank),
-        joint=joint,
-        gate=_gate_after(model, state, verdict, relocation),
-        lead=lead,
-        pace=after_readings(state.pace, instant.sensor_rows, scored),
-    )
-    if relocation is not None and place is not None:
-        state = with_candidate(model, state, candidate, place)
-        if relocation.confirmed.any():
-            state = relocated(model, state, relocation.confirmed)
-    if learned is not None and state.joint is not None:
-        state = with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
-    else:
-        state = _alarm_faded(model, state)
-    return state, Shown(
-        innovation=seen.innovation[:, 0],
-        innovation_variance=seen.variance[:, 0],
+
+def _shown(
+    model: FilterModel,
+    epoch: Epoch,
+    instant: Instant,
+    verdict: Verdict,
+    teaches: BoolArray,
+    followed: Followed | None,
+    learned: Learned | None,
+) -> Shown:
+    """Return what an instant showed."""
+    nobody = np.zeros(instant.rows.total.shape, dtype=np.bool_)
+    return Shown(
+        innovation=instant.seen.innovation[:, 0],
+        innovation_variance=instant.seen.variance[:, 0],
         available=epoch.available,
         teaches=teaches,
-        heading=predicted.mean[2, 0],
+        heading=instant.predicted.mean[2, 0],
         reported_scale=_reported_scale(model, epoch),
-        nis=taken.nis[0],
-        degrees_of_freedom=instant.sensor_rows.sum(axis=0),
+        nis=instant.taken.nis[0],
+        degrees_of_freedom=instant.rows.total,
         sensor_nis=verdict.nis,
-        sensor_degrees_of_freedom=instant.sensor_rows,
+        sensor_degrees_of_freedom=instant.rows.of_sensor,
         rejected=verdict.rejected,
-        relocated=_nobody(nis) if relocation is None else relocation.confirmed,
+        relocated=nobody if followed is None else followed.relocation.confirmed,
         learned=learned,
     )
 
@@ -240,7 +260,7 @@ def _later(model: FilterModel, state: FilterState, epoch: Epoch, elapsed: float)
 
 
 def _gate_after(
-    model: FilterModel, state: FilterState, verdict: Verdict, relocation: Relocation | None
+    model: FilterModel, state: FilterState, verdict: Verdict, followed: Followed | None
 ) -> GateState:
     """Return what the gate remembers; one that rejects nothing need not remember anything."""
     if model.gate.is_open:
@@ -248,14 +268,14 @@ def _gate_after(
     return after_verdict(
         state.gate,
         verdict,
-        verdict.rejected if relocation is None else relocation.agrees,
+        verdict.rejected if followed is None else followed.relocation.agrees,
         state.pace.sensors,
         learns=model.adaptation.learns_measurement_noise,
     )
 
 
 def _corrected_bank(
-    model: FilterModel, state: FilterState, instant: Instant, corrected: Bank, scored: BoolArray
+    model: FilterModel, state: FilterState, instant: Instant, corrected: Bank, scored: Rows
 ) -> tuple[Bank, FloatArray]:
     """Return all filters but a candidate's after the readings, and the suspects' leads.
 
@@ -264,7 +284,7 @@ def _corrected_bank(
         state: before the readings.
         instant: these.
         corrected: the published filter and those of joint adaptation, at least, after them.
-        scored: `(4, *batch)` which rows are scored.
+        scored: which rows are scored.
     """
     bank, which = instant.taken.bank.filters(model.layout.steady), model.layout.suspects
     if corrected is not instant.taken.bank:
@@ -272,85 +292,56 @@ def _corrected_bank(
         bank.covariance[:, :, : which.start] = corrected.covariance
     if not model.suspects:
         return bank, state.lead
-    suspects, lead = _suspects_after(model, state, instant, bank.filters(PUBLISHED), scored)
+    suspects, lead = suspects_after(model, state, instant, bank.filters(PUBLISHED), scored)
     bank.mean[:, which] = suspects.mean
     bank.covariance[:, :, which] = suspects.covariance
     return bank, lead
 
 
-def _suspects_after(
-    model: FilterModel, state: FilterState, instant: Instant, published: Bank, scored: BoolArray
-) -> tuple[Bank, FloatArray]:
-    """Return the suspects' filters after readings, and their leads."""
-    which, taken = model.layout.suspects, instant.taken
-    predicted, counts = instant.predicted.filters(which), np.asarray(scored.any(axis=0))
-    if not counts.any():
-        return predicted, state.lead
-    rows = instant.sensor_rows.sum(axis=0)
-    likelihood = log_likelihood(taken.nis[which], taken.determinant[which], rows)
-    lead = lead_after(state.lead, likelihood, counts)
-    if counts.all() and not lead.any():  # as most of the time: all start again
-        return published, lead
-    suspects = taken.bank.filters(which)
-    if (taken.nis[which] > LARGEST_NIS).any():  # no sensor's is larger than all rows' together
-        nis = [nis_by_sensor(instant.seen, taken, k) for k in range(which.start, which.stop)]
-        suspects = correct_robustly(
-            predicted,
-            instant.seen.filters(which),
-            instant.noise.filters(which),
-            instant.readings,
-            np.stack(nis, axis=1),
-        )
-    suspects = restarted(suspects, published, lead)
-    return Bank(
-        np.where(counts, suspects.mean, predicted.mean),
-        np.where(counts, suspects.covariance, predicted.covariance),
-    ), lead
-
-
 def _learn(
     model: FilterModel,
     state: FilterState,
-    joint: JointState,
     instant: Instant,
     bank: Bank,
     teaches: BoolArray,
-    scored: BoolArray,
-) -> tuple[JointState, Learned | None]:
+    scored: Rows,
+    steps: BoolArray,
+) -> tuple[FilterState, Learned | None]:
     """Learn from readings that are scored, and take the forecasts on in the bank.
 
     Args:
         model: the filter.
-        state: before the readings.
-        joint: of joint adaptation, likewise.
+        state: before the readings, of mode joint.
         instant: the readings.
         bank: all filters after the readings; its forecasts are replaced.
-        teaches: `(4, *batch)` which rows are learned from.
-        scored: `(4, *batch)` which rows are scored.
+        teaches: `(4, *batch)` which rows the noise may be learned from.
+        scored: which rows are scored.
+        steps: `(*batch)` whether these are a step of the forecasts.
     """
+    joint = state.joint
+    assert joint is not None
     of_joint, ahead = bank.filters(JOINT), instant.predicted.filters(JOINT)
     of_joint.mean[:, FORECASTS] = ahead.mean[:, FORECASTS]
     of_joint.covariance[:, :, FORECASTS] = ahead.covariance[:, :, FORECASTS]
-    teaches = teaches & scored
-    rows, counts = teaches.sum(axis=0, dtype=np.float64), scored.any(axis=0)
+    taught = rows_where(teaches & scored.each)
     learned = None
-    if rows.any():
+    if taught.some.any():
         shown, which = instant.taken, JOINT
-        if not np.array_equal(teaches, instant.readings.available):
-            shown, which = instant.corrected_by(teaches, JOINT), slice(None)
-        likelihood = log_likelihood(shown.nis[which], shown.determinant[which], rows)
+        if taught is not instant.rows and not np.array_equal(taught.each, instant.rows.each):
+            shown, which = instant.corrected_by(taught.each, JOINT), slice(None)
+        likelihood = log_likelihood(shown.nis[which], shown.determinant[which], taught.total)
         seen = instant.seen.filters(JOINT)
         lesson = Lesson(
-            seen.innovation, seen.variance, likelihood, teaches, rows, scored, state.pace.scored
+            seen.innovation, seen.variance, likelihood, taught, scored, state.pace.scored
         )
         adaptation = model.adaptation
         sets = adaptation.networks.joint.sets
         learned = learn(joint, sets, adaptation.bounds, lesson, learning=adaptation.learning)
-        steps = is_step(state.pace, scored) & (rows > 0.0)
-        newer = bank.filters(model.layout.newer_forecasts)
-        step_forecasts(of_joint, newer, steps)
+        steps = steps & taught.some
+        step_forecasts(of_joint, bank.filters(model.layout.newer_forecasts), steps)
         joint = stepped(learned.state, steps)
-    return joint._replace(way=np.where(counts, 0.0, joint.way)), learned
+    joint = joint._replace(way=np.where(scored.some, 0.0, joint.way))
+    return state._replace(joint=joint), learned
 
 
 def _alarm_faded(model: FilterModel, state: FilterState) -> FilterState:
@@ -370,32 +361,3 @@ def _reported_scale(model: FilterModel, epoch: Epoch) -> FloatArray:
         own = model.measurement_noise[row]
         scale[row] = np.where(epoch.available[row], reported[place], own) / own
     return scale
-
-
-def _nobody(nis: FloatArray) -> BoolArray:
-    """Return that no robot of a batch is meant, `(*batch)`, for NIS `(2, *batch)`."""
-    return np.zeros(nis.shape[1:], dtype=np.bool_)
-
-
-def _nothing(state: FilterState, R: FloatArray) -> Shown:
-    """Return what a period without readings shows: where it ended, and R `(4, *batch)` in use."""
-    batch = state.mean.shape[1:]
-    none = np.zeros((MEASUREMENT_SIZE, *batch))
-    nobody = np.zeros((SENSOR_COUNT, *batch))
-    no_row, no_sensor = none.astype(np.bool_), nobody.astype(np.bool_)
-    variance = state.covariance[_COMPONENTS, _COMPONENTS] + R
-    return Shown(
-        innovation=none,
-        innovation_variance=variance,
-        available=no_row,
-        teaches=no_row,
-        heading=state.mean[2],
-        reported_scale=np.ones_like(none),
-        nis=none[0],
-        degrees_of_freedom=none[0],
-        sensor_nis=nobody,
-        sensor_degrees_of_freedom=nobody,
-        rejected=no_sensor,
-        relocated=no_sensor[0],
-        learned=None,
-    )

@@ -24,15 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
-from fnn_ekf_ros.core.bank import FIX_ROWS
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.chi_square import exceeded_with
+from fnn_ekf_ros.core.rows import LRF_POSE, SENSOR_COUNT, SENSOR_OF_ROW
 
-SENSOR_COUNT = 2
-COMPASS, LRF_POSE = range(SENSOR_COUNT)
-"""The gated sensors, in this order wherever an axis is the sensors'."""
-SENSOR_OF_ROW = [LRF_POSE, LRF_POSE, COMPASS, LRF_POSE]
-"""Whose each row is, rows as in `Row`."""
 SPREAD_MEMORY = 0.7
 """Part of the spread that an accepted reading of a slow sensor leaves."""
 SPREAD_GROWTH = 1.65
@@ -46,8 +41,6 @@ SHARE_MEMORY = 0.9
 """Part of the share of rejected readings that is remembered from one to the next."""
 NOISY_SHARE = 0.095
 """A share that the reading before leaves, or several lately: a rejected one is noise then."""
-
-_FIX_ROWS = list(FIX_ROWS)
 
 
 class Gate(NamedTuple):
@@ -116,14 +109,6 @@ def start_gate(batch: tuple[int, ...] = ()) -> GateState:
     return GateState(np.ones_like(none), none, none)
 
 
-def rows_by_sensor(available: BoolArray) -> FloatArray:
-    """Return how many rows each sensor measured, `(2, *batch)`, of `(4, *batch)` available."""
-    count = np.empty((SENSOR_COUNT, *available.shape[1:]))
-    count[COMPASS] = available[Row.COMPASS_YAW]
-    count[LRF_POSE] = available[_FIX_ROWS].sum(axis=0)
-    return count
-
-
 def judge(gate: Gate, state: GateState, nis: FloatArray, rows: FloatArray) -> Verdict:
     """Return which sensors' readings are rejected.
 
@@ -138,16 +123,22 @@ def judge(gate: Gate, state: GateState, nis: FloatArray, rows: FloatArray) -> Ve
 
 def limits(gate: Gate, rows: FloatArray) -> FloatArray:
     """Return the largest NIS `(2, *batch)` for numbers of rows `(2, *batch)`."""
-    count = rows.astype(np.intp)
-    found = np.empty(rows.shape)
-    for sensor, thresholds in enumerate(gate.thresholds):
-        found[sensor] = np.asarray(thresholds)[count[sensor]]
-    return found
+    table = _table(gate)
+    place = rows.astype(np.intp)
+    place[LRF_POSE] += len(table) // SENSOR_COUNT
+    return table[place]
+
+
+@lru_cache(maxsize=16)
+def _table(gate: Gate) -> FloatArray:
+    """Return the thresholds of one sensor after the other's."""
+    return np.ravel(gate.thresholds)
 
 
 def rows_of(sensors: BoolArray) -> BoolArray:
     """Return `(4, *batch)` for rows what `(2, *batch)` says for their sensors."""
-    return sensors[SENSOR_OF_ROW]
+    found: BoolArray = sensors[SENSOR_OF_ROW]
+    return found
 
 
 def after_verdict(

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.bank import Bank, Correction, Innovations, Noise, Readings, correct
+from fnn_ekf_ros.core.rows import Rows
 
 
 class Instant(NamedTuple):
@@ -12,19 +13,19 @@ class Instant(NamedTuple):
     Attributes:
         predicted: all filters.
         readings: what is measured.
+        rows: which rows that is.
         noise: that the readings are taken with.
         seen: what they say against each prediction.
         taken: all filters as if each row that was measured were right.
-        sensor_rows: `(2, *batch)` how many rows each sensor measured.
         fix_covariance: as the fix reported it, if it did.
     """
 
     predicted: Bank
     readings: Readings
+    rows: Rows
     noise: Noise
     seen: Innovations
     taken: Correction
-    sensor_rows: FloatArray
     fix_covariance: FloatArray | None
 
     def corrected_by(self, rows: BoolArray, which: slice) -> Correction:

@@ -54,6 +54,7 @@ from fnn_ekf_ros.core.joint_filters import (
     START,
     SUDDEN,
 )
+from fnn_ekf_ros.core.rows import Rows
 
 HYPOTHESES = ("start", "settled", "fast", "slip")
 SHORTEST_MEMORY = 15.0
@@ -142,18 +143,16 @@ class Lesson(NamedTuple):
         innovation: `(4, JOINT_COUNT, *batch)` r, 0 where not available.
         variance: `(4, JOINT_COUNT, *batch)` diagonal of S.
         likelihood: `(JOINT_COUNT, *batch)` log likelihood of the rows that teach.
-        teaches: `(4, *batch)` which rows these are.
-        rows: `(*batch)` how many.
-        scored: `(4, *batch)` these and those that the gate keeps from teaching.
+        taught: which rows these are.
+        scored: these and those that the gate keeps from teaching.
         since_scored: `(*batch)` since any were scored before [nominal periods].
     """
 
     innovation: FloatArray
     variance: FloatArray
     likelihood: FloatArray
-    teaches: BoolArray
-    rows: FloatArray
-    scored: BoolArray
+    taught: Rows
+    scored: Rows
     since_scored: FloatArray
 
 
@@ -251,20 +250,20 @@ def learn(
             rejects because the noise is wrong.
         learning: False leaves what was learned as it is.
     """
-    measured = lesson.rows > 0.0
+    measured = lesson.taught.some
     still = np.abs(state.way) <= _STANDSTILL.behind(measured.ndim) * lesson.since_scored
     learns = measured & ~still.all(axis=0) & learning
     foreseen = learns & (state.forecast_count >= 2.0)
-    informed = _informed(lesson.scored)
+    informed = _informed(lesson.scored.each)
     likelihood = lesson.likelihood
     evidence = star_evidence(
         lesson.innovation[:, STARS].reshape(4, STAR_SIZE, LEARNER_COUNT, *measured.shape),
         lesson.variance[:, STARS].reshape(4, STAR_SIZE, LEARNER_COUNT, *measured.shape),
         likelihood[STARS].reshape(STAR_SIZE, LEARNER_COUNT, *measured.shape),
-        lesson.teaches,
-        lesson.rows,
+        lesson.taught,
     )
-    teaches = np.stack([foreseen, learns])
+    teaches = np.empty((LEARNER_COUNT, *measured.shape), dtype=np.bool_)
+    teaches[SETTLED], teaches[FAST] = foreseen, learns
     learned = _move_learners(state, sets, bounds, evidence, informed, teaches)
 
     odds = likelihood[FORESEEN_START] - likelihood[FORESEEN_STAR]
@@ -294,7 +293,9 @@ def _informed(scored: BoolArray) -> BoolArray:
     """Return which scales `(4, *batch)` are informed by rows `(4, *batch)` that are scored."""
     fix = scored[Row.X] | scored[Row.Y]
     yaw = scored[Row.COMPASS_YAW] | scored[Row.LRF_YAW]
-    return np.stack([fix, fix | yaw, fix, yaw])
+    informed = np.empty_like(scored)  # in the order of `SCALES`
+    informed[0], informed[1], informed[2], informed[3] = fix, fix | yaw, fix, yaw
+    return informed
 
 
 def _move_learners(

@@ -11,7 +11,7 @@ SETTLED, FAST = 0, 1
 LEARNER_COUNT = 2
 SLIP: FloatArray = np.array([1.0, 1.0, 0.0, 0.0]) * np.log(50.0)
 """Log scales of wheels that slip, against the settled ones."""
-ROW_SCALE = [2, 2, 3, 3]
+ROW_SCALE = np.array([2, 2, 3, 3])
 """Which scale each row's R follows."""
 
 # Filters of the bank: the start's noise, the two learners' stars, slip, and forecasts of the first
@@ -29,8 +29,8 @@ NEWER_COUNT = _FORECAST_SIZE
 """Filters of the bank that none is compared with: forecasts made after the last step."""
 FORECASTS = _OLDER
 """Those that readings are compared with, but do not correct."""
-SUDDEN = [FAST_STAR, SLIP_FILTER]
-STARS = [star + k for k in range(STAR_SIZE) for star in (FORESEEN_STAR, FAST_STAR)]
+SUDDEN = np.array([FAST_STAR, SLIP_FILTER])
+STARS = np.array([star + k for k in range(STAR_SIZE) for star in (FORESEEN_STAR, FAST_STAR)])
 _STAR_FACTOR, _SLIP_FACTOR = Constant(np.exp(STAR)), Constant(np.exp(SLIP))
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
-from fnn_ekf_ros.core.gate import LRF_POSE, SENSOR_COUNT
+from fnn_ekf_ros.core.rows import LRF_POSE, SENSOR_COUNT, Rows, rows_where
 
 NOMINAL_PERIOD_S = 0.375
 """The paper's period [s]; process noise is given for one step of this length."""
@@ -69,49 +69,46 @@ def later(pace: Pace, elapsed: float) -> Pace:
     return Pace(pace.since + elapsed)
 
 
-def scored_rows(pace: Pace, available: BoolArray, sensor_rows: FloatArray) -> BoolArray:
-    """Return which rows are scored, `(4, *batch)`.
+def scored_rows(pace: Pace, rows: Rows) -> Rows:
+    """Return which of the rows that were measured are scored.
 
     Args:
         pace: of the readings before.
-        available: `(4, *batch)` rows that are measured.
-        sensor_rows: `(2, *batch)` how many each sensor measured.
+        rows: that were measured.
     """
-    by_time = (pace.since[LRF_POSE] >= NO_FIXES) & (pace.since[_COMPASS_SCORED] >= COMPASS_INTERVAL)
-    due = (sensor_rows[LRF_POSE] > 0.0) | pace.compass_follows_a_fix | by_time
+    since = pace.since
+    by_time = (since[LRF_POSE] >= NO_FIXES) & (since[_COMPASS_SCORED] >= COMPASS_INTERVAL)
+    due = rows.fix | pace.compass_follows_a_fix | by_time
     if due.all():
-        return available
-    scored = available.copy()
+        return rows
+    scored = rows.each.copy()
     scored[Row.COMPASS_YAW] &= due
-    return scored
+    return rows_where(scored)
 
 
-def is_step(pace: Pace, scored: BoolArray) -> BoolArray:
-    """Return whether scored readings `(4, *batch)` are a step of the forecasts, `(*batch)`.
+def is_step(pace: Pace, scored: Rows) -> BoolArray:
+    """Return whether scored readings are a step of the forecasts, `(*batch)`.
 
     A compass that is scored because a fix came before it belongs to that fix's step, and a fix that
     follows soon belongs to it, too.
     """
-    by_time = scored[Row.COMPASS_YAW] & ~pace.compass_follows_a_fix
+    by_time = scored.each[Row.COMPASS_YAW] & ~pace.compass_follows_a_fix
     by_fix = pace.since[_FIX_STEP] >= STEP_INTERVAL
-    return np.asarray(np.where(_with_a_fix(scored), by_fix, by_time))
+    return np.asarray(np.where(scored.fix, by_fix, by_time))
 
 
-def _with_a_fix(scored: BoolArray) -> BoolArray:
-    return np.asarray(scored[Row.X] | scored[Row.Y] | scored[Row.LRF_YAW])
-
-
-def after_readings(pace: Pace, sensor_rows: FloatArray, scored: BoolArray) -> Pace:
+def after_readings(pace: Pace, rows: Rows, scored: Rows, steps: BoolArray) -> Pace:
     """Return the pace after readings.
 
     Args:
         pace: of the readings before.
-        sensor_rows: `(2, *batch)` how many rows each sensor measured.
-        scored: `(4, *batch)` which rows were scored.
+        rows: that were measured.
+        scored: those of them that were scored.
+        steps: `(*batch)` whether they are a step of the forecasts.
     """
-    passed = np.empty(pace.since.shape, dtype=np.bool_)
-    np.equal(sensor_rows, 0.0, out=passed[:SENSOR_COUNT])
-    passed[_COMPASS_SCORED] = ~scored[Row.COMPASS_YAW]
-    passed[_ANY_SCORED] = ~scored.any(axis=0)
-    passed[_FIX_STEP] = ~(is_step(pace, scored) & _with_a_fix(scored))
-    return Pace(pace.since * passed)
+    now = np.empty(pace.since.shape, dtype=np.bool_)
+    np.greater(rows.of_sensor, 0.0, out=now[:SENSOR_COUNT])
+    now[_COMPASS_SCORED] = scored.each[Row.COMPASS_YAW]
+    now[_ANY_SCORED] = scored.some
+    now[_FIX_STEP] = steps & scored.fix
+    return Pace(np.where(now, 0.0, pace.since))

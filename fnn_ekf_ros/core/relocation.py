@@ -15,16 +15,8 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.bank import Bank, Correction, Innovations, Noise, Readings, correct, wrapped
-from fnn_ekf_ros.core.gate import (
-    COMPASS,
-    LRF_POSE,
-    SENSOR_COUNT,
-    Gate,
-    GateState,
-    Verdict,
-    limits,
-    rows_of,
-)
+from fnn_ekf_ros.core.gate import Gate, GateState, Verdict, limits, rows_of
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE, SENSOR_COUNT
 
 CONFIRMATIONS = 8
 """So many readings in a row have to confirm a candidate."""
@@ -83,6 +75,20 @@ class Relocation(NamedTuple):
     confirmed: BoolArray
 
 
+class Followed(NamedTuple):
+    """The candidate after an instant.
+
+    Attributes:
+        candidate: what is remembered of it.
+        place: its filter.
+        relocation: what the instant said about it.
+    """
+
+    candidate: Candidate
+    place: Bank
+    relocation: Relocation
+
+
 class Beside(NamedTuple):
     """The candidate's filter at an instant, before its readings; each of these is one filter.
 
@@ -125,7 +131,7 @@ def follow(
     published: Bank,
     readings: Readings,
     verdict: Verdict,
-) -> tuple[Candidate, Bank, Relocation]:
+) -> Followed:
     """Take the candidate over an instant, or start one.
 
     Args:
@@ -178,7 +184,8 @@ def follow(
         & (after.supports >= FEWEST_SUPPORTS)
         & (after.disagreement <= LARGEST_DISAGREEMENT)
     )
-    return after, place, Relocation(agrees, agrees & (nis < CLEARLY_LESS * verdict.nis), confirmed)
+    explains = agrees & (nis < CLEARLY_LESS * verdict.nis)
+    return Followed(after, place, Relocation(agrees, explains, confirmed))
 
 
 def _position_variance(bank: Bank) -> FloatArray:

@@ -7,6 +7,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.joint import JointReport, Learned
+from fnn_ekf_ros.core.rows import SENSOR_COUNT
 
 
 class Epoch(NamedTuple):
@@ -130,6 +131,33 @@ def last_of_each_row(shown: Sequence[Shown]) -> Shown:
             learned=_last_learned(result.learned, later.learned),
         )
     return result
+
+
+def nothing_shown(heading: FloatArray, variance: FloatArray) -> Shown:
+    """Return what a period without readings shows.
+
+    Args:
+        heading: `(*batch)` where it ended [rad].
+        variance: `(4, *batch)` diagonal of S there.
+    """
+    none = np.zeros_like(variance)
+    nobody = np.zeros((SENSOR_COUNT, *heading.shape))
+    no_row, no_sensor = none.astype(np.bool_), nobody.astype(np.bool_)
+    return Shown(
+        innovation=none,
+        innovation_variance=variance,
+        available=no_row,
+        teaches=no_row,
+        heading=heading,
+        reported_scale=np.ones_like(none),
+        nis=none[0],
+        degrees_of_freedom=none[0],
+        sensor_nis=nobody,
+        sensor_degrees_of_freedom=nobody,
+        rejected=no_sensor,
+        relocated=no_sensor[0],
+        learned=None,
+    )
 
 
 def _last_learned(before: Learned | None, later: Learned | None) -> Learned | None:

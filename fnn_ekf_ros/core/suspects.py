@@ -22,7 +22,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, Constant, FloatArray
 from fnn_ekf_ros.core.bank import Bank, Innovations, Noise, Readings, correct
-from fnn_ekf_ros.core.gate import SENSOR_OF_ROW, rows_by_sensor
+from fnn_ekf_ros.core.rows import SENSOR_OF_ROW, rows_where
 
 SUSPECTS = ("encoders", "compass", "lrf_pose")
 """Who can be suspected, in the order of the leads."""
@@ -82,7 +82,7 @@ def correct_robustly(
         readings: themselves.
         nis: `(2, 4, *batch)` of each sensor against each filter.
     """
-    rows = rows_by_sensor(readings.available)[:, None]
+    rows = rows_where(readings.available).of_sensor[:, None]
     wild = np.sqrt(nis / (LARGEST_NIS * np.maximum(rows, 1.0)))
     widened = noise.measurement * np.maximum(wild, 1.0)[SENSOR_OF_ROW]
     R = noise._replace(measurement=widened)

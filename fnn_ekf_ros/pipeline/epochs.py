@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, FloatArray, Row
-from fnn_ekf_ros.core.bank import FIX_ROWS
 from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.core.rows import FIX_ROWS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.events import CompassYaw, PoseFix
 

@@ -7,7 +7,7 @@ the constants here and in the modules of the parts.
 from collections import Counter
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode
-from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
 from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.pipeline.belief import Values

@@ -11,10 +11,10 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.bank import FIX_ROWS
 from fnn_ekf_ros.core.motion import move
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.core.rows import FIX_ROWS
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, rows_of
+from fnn_ekf_ros.core.gate import rows_of
 from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.motion import move
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.results import Shown, StepResult
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
 from fnn_ekf_ros.core.state import FilterModel, FilterState, lasting_noise
 from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.pipeline.events import Move
