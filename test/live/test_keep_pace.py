@@ -16,6 +16,7 @@ from sensor_msgs.msg import Imu
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.bag_files import BagReader
+from fnn_ekf_ros.cli import run_command
 
 pytestmark = pytest.mark.live
 
@@ -84,12 +85,11 @@ def slow_node(ros_environment: None) -> Iterator[Callable[..., SlowNode]]:
         each.close()
 
 
-@pytest.fixture
-def drive(processes: Any) -> Path:
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of some seconds."""
-    bag: Path = processes.folder / "bag"
-    made = processes.run("simulate", bag, "--duration", 4)
-    assert made.returncode == 0, made.stderr
+    bag = tmp_path_factory.mktemp("drive") / "bag"
+    assert run_command("simulate", [str(bag), "--duration", "4"]) == 0
     return bag
 
 
