@@ -9,6 +9,7 @@ import contextlib
 import io
 import re
 import shlex
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -156,8 +157,10 @@ def late_fixes(folder: Path) -> str:
         lines = list(block.lines)  # simulate, replay, evaluate
         if not faults:
             lines[0] = lines[0].replace(" -p faults_file:=late.yaml", "")
-        if name == LATE[-1]:
-            lines[1] += " -p output_delay:=0.2"
+        if name == LATE[-1]:  # the same recording as of those that nobody waits for
+            shutil.copytree(folder / LATE[1] / "run", own / "run")
+            shutil.copy(folder / LATE[1] / "run.yaml", own)
+            lines = [f"{lines[1]} -p output_delay:=0.2", lines[2]]
         ((_, _, _, position, _),) = scores(run_lines(lines, own)).values()
         found.append(f"{position:.4f}")
     return f"{', '.join(found[:-1])} and {found[-1]}"

@@ -1,7 +1,10 @@
 """The recordings that are part of the project can be made again by the commands beside them."""
 
+import contextlib
 import dataclasses
+import functools
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +19,21 @@ NAMES = ("sim1", "sim2", "round")
 TOLERANCE = 1e-9
 
 
-def make_again(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def make_again(name: str, folder: Path) -> Path:
     """Run the command that a bag's README gives."""
     lines = (BAGS / name / "README.md").read_text().splitlines()
     (line,) = [line for line in lines if line.startswith("    python3 -m fnn_ekf_ros ")]
     folder.mkdir()
-    monkeypatch.chdir(folder)
     _, _, _, command, *arguments = shlex.split(line)
-    assert run_command(command, arguments) == 0
+    with contextlib.chdir(folder):
+        assert run_command(command, arguments) == 0
     return folder / name
+
+
+@pytest.fixture(scope="module")
+def made_again(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Makes a bag of the project by its command, once."""
+    return functools.cache(lambda name: make_again(name, tmp_path_factory.mktemp("again") / name))
 
 
 def assert_same(one: Any, other: Any, where: str) -> None:
@@ -48,9 +57,9 @@ def test_bag_is_small(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bag_has_the_content_its_command_makes(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, made_again: Callable[[str], Path]
 ) -> None:
-    made = make_again(name, tmp_path / "again", monkeypatch)
+    made = made_again(name)
     assert Path(f"{made}.yaml").read_text() == (BAGS / f"{name}.yaml").read_text()
     with BagReader(BAGS / name) as kept, BagReader(made) as again:
         assert kept.topics == again.topics
@@ -62,9 +71,8 @@ def test_bag_has_the_content_its_command_makes(
 
 
 def test_the_same_command_makes_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, made_again: Callable[[str], Path]
 ) -> None:
-    first = make_again("sim1", tmp_path / "first", monkeypatch)
-    second = make_again("sim1", tmp_path / "second", monkeypatch)
+    first, second = made_again("sim1"), make_again("sim1", tmp_path / "second")
     for file in ("sim1.mcap", "metadata.yaml"):
         assert (first / file).read_bytes() == (second / file).read_bytes(), file

@@ -20,6 +20,7 @@ from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, fields_of
+from fnn_ekf_ros.tools import study_rates
 from fnn_ekf_ros.tools.study import STUDIES
 
 pytest.importorskip("rclpy")
@@ -35,6 +36,7 @@ SHORTER = {
     "study grid": "--runs 2 --steps 10 --jobs 1",
     "study paper": "--runs 2 --steps 10 --jobs 1",
     "study dynamic": "--runs 2 --steps 10 --jobs 1",
+    "simulate fast": "--duration 10",
     "simulate run -p faults_file:=config/": "--duration 60",
     "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan --jobs 1",
     "study rates": "--runs 2 --fixes 4 --jobs 1",
@@ -138,6 +140,8 @@ def test_the_commands_of_a_document_run(
 ) -> None:
     for name, study in STUDIES.items():  # pictures take most of the time; they have other tests
         monkeypatch.setitem(STUDIES, name, study._replace(figures=lambda *_: None))
+    monkeypatch.setattr(study_rates, "draw_rates", lambda *_: None)
+    monkeypatch.setattr(study_rates, "RATE_CASES", study_rates.RATE_CASES[:2])
     for name, text in files(block.document).items():
         (tmp_path / name).write_text(text)
     for word, prepare in PREPARED.items():
