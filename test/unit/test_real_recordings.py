@@ -1,4 +1,4 @@
-"""Recordings of real robots, where they are at hand, and an hour of recording."""
+"""Recordings of real robots, where they are at hand, and a long recording."""
 
 import json
 import math
@@ -67,10 +67,9 @@ def test_brenner_with_positions_for_truth(tmp_path: Path, succeed: Succeed) -> N
     assert scores["rmse_position"] < 0.15
 
 
-@pytest.mark.parametrize("adaptation", ["r"])
-def test_an_hour_is_replayed_to_its_end(tmp_path: Path, succeed: Succeed, adaptation: str) -> None:
-    """Ticks at 10 Hz, a compass and fixes every period; the robot drives on a circle."""
-    start, length_ns = 3 * 10**9, 3600 * 10**9
+def test_a_long_recording_is_replayed_to_its_end(tmp_path: Path, succeed: Succeed) -> None:
+    """20 minutes of ticks at 10 Hz, a compass, fixes every period; the robot drives on a circle."""
+    start, length_ns = 3 * 10**9, 1200 * 10**9
     speed, rate = 0.3, 0.1
     rng = np.random.default_rng(6)
     with BagWriter(tmp_path / "long") as bag:

@@ -14,7 +14,7 @@ from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.study import dynamic
+from fnn_ekf_ros.study import dynamic, grid
 from fnn_ekf_ros.tools import study
 from fnn_ekf_ros.tools.pictures import save
 from fnn_ekf_ros.tools.study_paper_figures import paper_figures
@@ -78,7 +78,10 @@ def test_grid(tmp_path: Path, succeed: Succeed) -> None:
         assert build(LocalizerParameters, told).process_noise_std == pytest.approx(std)
 
 
-def test_the_same_seed_writes_the_same_files(tmp_path: Path, succeed: Succeed) -> None:
+def test_the_same_seed_writes_the_same_files(
+    tmp_path: Path, succeed: Succeed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grid, "SIMULATIONS", {"sim2": grid.SIMULATIONS["sim2"]})
     written = []
     for folder, seed in (("one", 5), ("two", 5), ("three", 6)):
         out = tmp_path / folder
@@ -138,11 +141,14 @@ def test_dynamic(tmp_path: Path, succeed: Succeed, monkeypatch: pytest.MonkeyPat
     assert len(re.findall(r"\| EKF \| Q [x/] 25, R [x/] 25 \|", table)) == 2
 
 
-def test_parameters_reach_the_filters(
-    tmp_path: Path, succeed: Succeed, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    undrawn = study.STUDIES["grid"]._replace(figures=lambda *_: None)
-    monkeypatch.setitem(study.STUDIES, "grid", undrawn)
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves out the pictures of `study grid`, which take most of its time."""
+    without = study.STUDIES["grid"]._replace(figures=lambda *_: None)
+    monkeypatch.setitem(study.STUDIES, "grid", without)
+
+
+def test_parameters_reach_the_filters(tmp_path: Path, succeed: Succeed, undrawn: None) -> None:
     found = []
     for name, words in (("a", []), ("b", ["-p", "innovation_window:=6"])):
         out = tmp_path / name
@@ -222,8 +228,13 @@ def test_a_picture_is_replaced_only_by_a_whole_one(tmp_path: Path) -> None:
 
 
 def test_nothing_half_written_is_left(
-    tmp_path: Path, succeed: Succeed, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    succeed: Succeed,
+    refuse: Refuse,
+    undrawn: None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """It fails at the first of its files, before there would be pictures."""
     succeed("study", "grid", "--out", tmp_path, *TINY, "--filters", "ekf")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert not [name for name in before if name.startswith(".")]

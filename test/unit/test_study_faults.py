@@ -44,8 +44,7 @@ def test_faults_have_names_of_their_own_and_every_sensor_has_some() -> None:
             assert wheels or fault.targets() == (case.sensor,)
 
 
-@pytest.mark.parametrize("name", SUBSET)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("name", "seed"), zip(SUBSET, (1, 2), strict=True))
 def test_a_failing_sensor_is_named_and_nobody_else(name: str, seed: int) -> None:
     case = next(case for case in FAULTS if case.name == name)
     naming = name_fault(case, setting(seed), np.random.default_rng(seed))

@@ -34,8 +34,8 @@ def few_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training_set, "RUNS", 6)
     monkeypatch.setattr(training_set, "STEPS", 60)
     monkeypatch.setattr(joint_set, "RUNS", {"constant": 6, "slip": 1, "noisy sensors": 1})
-    monkeypatch.setattr(joint_set, "STEPS", 40)
-    monkeypatch.setattr(joint_set, "FEWEST_STEPS", 30)
+    monkeypatch.setattr(joint_set, "STEPS", 20)
+    monkeypatch.setattr(joint_set, "FEWEST_STEPS", 15)
 
 
 def test_the_packaged_set_is_what_the_command_writes(tmp_path: Path, succeed: Succeed) -> None:
