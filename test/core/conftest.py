@@ -1,5 +1,6 @@
 """What the tests of the core share: the published membership sets, filters, the textbook EKF."""
 
+import dataclasses
 import importlib.util
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from fnn_ekf_ros.core.adaptation import (
 from fnn_ekf_ros.core.arrays import FloatArray, components_first
 from fnn_ekf_ros.core.bounds import NoiseBounds
 from fnn_ekf_ros.core.fuzzy import FuzzySets
+from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.state import FilterModel
 from fnn_ekf_ros.membership.files import read_membership
@@ -130,6 +132,19 @@ def make_adaptation() -> Callable[..., Adaptation]:
 @pytest.fixture(scope="session")
 def make_model() -> Callable[..., FilterModel]:
     return build_model
+
+
+@pytest.fixture(scope="session")
+def model_of() -> Callable[..., FilterModel]:
+    """Filters of a mode with a gate and with suspects."""
+
+    def make(mode: str, *, gated: bool = True, suspects: bool = True) -> FilterModel:
+        model = build_model(adaptation=build_adaptation(mode=mode, window_length=6))
+        if gated:
+            model = dataclasses.replace(model, gate=gate_for(1e-6, 1e-6))
+        return dataclasses.replace(model, suspects=suspects)
+
+    return make
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from periods import ALL_ROWS
 
 from fnn_ekf_ros.core.adaptation import (
     LARGEST_DECREASE,
@@ -24,7 +25,6 @@ PROPERTY = settings(derandomize=True, deadline=None, database=None, max_examples
 
 Q = np.array([4e-4, 3e-4])
 R = np.array([0.01, 0.012, 0.018, 0.02])
-ALL_ROWS = np.ones(4, dtype=np.bool_)
 DISTANCE, ROTATION = 0, 1
 AS_IN_USE = Scales(process=1.0, measurement=np.ones(4))
 """The noise in use is the noise that is adapted."""

@@ -1,9 +1,20 @@
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from banks import BOTH_MODELS
+from periods import (
+    ALL_ROWS,
+    MODES,
+    NO_ROWS,
+    START,
+    START_COVARIANCE,
+    arrays_of,
+    bytes_of,
+    one_of_batch,
+)
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -12,13 +23,6 @@ from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, Epoch, FilterModel, step
 from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.core.motion import MotionModel, displacement, move
 from fnn_ekf_ros.core.state import for_mode, reset_pose, start_filter
-
-BOTH_MODELS = pytest.mark.parametrize("model", list(MotionModel))
-MODES = ("none", "r", "q", "rq", "joint")
-ALL_ROWS = np.ones(4, dtype=np.bool_)
-NO_ROWS = np.zeros(4, dtype=np.bool_)
-START = np.array([1.0, 2.0, 0.5])
-START_COVARIANCE = np.array([[0.04, 0.01, 0.0], [0.01, 0.05, 0.002], [0.0, 0.002, 0.01]])
 
 
 def random_covariance(rng: np.random.Generator, size: float = 0.1) -> FloatArray:
@@ -62,31 +66,6 @@ def one_epoch(
 ) -> list[Epoch]:
     """Return a period with readings at its end only."""
     return [Epoch(control, duration_s, z, rows.astype(np.bool_), fix_covariance)]
-
-
-def arrays_of(*values: Sequence[Any]) -> list[np.ndarray[Any, Any]]:
-    found: list[np.ndarray[Any, Any]] = []
-    for value in values:
-        for part in value:
-            if isinstance(part, tuple):
-                found += arrays_of(part)
-            elif isinstance(part, np.ndarray | np.generic):
-                found.append(np.asarray(part))
-    return found
-
-
-def bytes_of(*values: Sequence[Any]) -> list[bytes]:
-    return [array.tobytes() for array in arrays_of(*values)]
-
-
-def one_of_batch(value: Any, index: tuple[int, ...]) -> Any:
-    """Return the tuple of arrays with the batch dimensions taken away."""
-    parts = [
-        one_of_batch(part, index) if isinstance(part, tuple) else
-        part[..., *index] if isinstance(part, np.ndarray) else part
-        for part in value
-    ]  # fmt: skip
-    return type(value)(*parts)
 
 
 def assert_same_results(one: NamedTuple, other: NamedTuple) -> None:

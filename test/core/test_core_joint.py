@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from periods import ALL_ROWS, NO_ROWS
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -37,8 +38,6 @@ from fnn_ekf_ros.core.state import JOINT, reset_pose, start_filter, with_noise
 
 MakeModel = Callable[..., FilterModel]
 MakeAdaptation = Callable[..., Adaptation]
-ALL_ROWS = np.ones(4, dtype=np.bool_)
-NO_ROWS = np.zeros(4, dtype=np.bool_)
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
 SETTLED, FAST = 0, 1
 SCALE_OF_ROW = [2, 2, 3, 3]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from periods import ALL_ROWS
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
@@ -28,7 +29,6 @@ MakeAdaptation = Callable[..., Adaptation]
 TRUE_Q = np.array([0.02, math.radians(1.0)]) ** 2
 TRUE_R = np.array([0.01, 0.01, 0.018, 0.018])
 COMPASS_AND_POSITION = np.array([True, True, True, False])
-ALL_ROWS = np.ones(4, dtype=np.bool_)
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
 STEPS = 600
 LOUD = (300, 400)

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from banks import BOTH_MODELS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,7 +10,6 @@ from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.motion import Motion, MotionModel, displacement, move, sinc, sinc_derivative
 
 PROPERTY = settings(derandomize=True, deadline=None, database=None, max_examples=200)
-BOTH_MODELS = pytest.mark.parametrize("model", list(MotionModel))
 
 POSITION = st.floats(min_value=-100.0, max_value=100.0)
 HEADING = st.floats(min_value=-math.pi, max_value=math.pi)
