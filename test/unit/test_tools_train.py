@@ -104,8 +104,8 @@ def test_the_packaged_set_of_mode_joint_is_where_other_robots_lead(
     assert (
         f"train --network joint --initial joint_initial --epochs {EPOCHS} --rate {rate:g} --seed 1"
     ) in text
-    monkeypatch.setattr(joint_set, "RUNS", {"constant": 32, "slip": 4, "noisy sensors": 4})
-    monkeypatch.setattr(joint_set, "STEPS", 200)
+    monkeypatch.setattr(joint_set, "RUNS", {"constant": 128, "slip": 16, "noisy sensors": 16})
+    monkeypatch.setattr(joint_set, "STEPS", 60)
     monkeypatch.setattr(joint_set, "FEWEST_STEPS", 60)
     initial, packaged = read_membership("joint_initial"), read_membership("joint")
     lesson = SUBJECTS["joint"].prepare(initial, 0, np.random.default_rng(2))
