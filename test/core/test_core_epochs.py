@@ -19,10 +19,10 @@ from periods import (
     wild_epochs,
 )
 
-from fnn_ekf_ros.core.bank import FIX_ROWS
 from fnn_ekf_ros.core.filter import Epoch, FilterModel, fuse, step
 from fnn_ekf_ros.core.joint import ALARM_MEMORY
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.rows import FIX_ROWS
 from fnn_ekf_ros.core.state import JOINT, reset_pose, start_filter
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.bank import (
-    FIX_ROWS,
     Bank,
     Correction,
     Innovations,
@@ -32,6 +31,7 @@ from fnn_ekf_ros.core.evidence import (
     star_evidence,
 )
 from fnn_ekf_ros.core.motion import MotionModel, move
+from fnn_ekf_ros.core.rows import FIX_ROWS, rows_where
 
 Covariances = Callable[[np.random.Generator, int, int], FloatArray]
 ALL_MASKS = list(itertools.product([False, True], repeat=4))
@@ -142,12 +142,11 @@ def star_step(filters: Bank, period: Period) -> tuple[Bank, Innovations, Correct
 
 def evidence_of(seen: Innovations, taken: Correction, available: BoolArray) -> Evidence:
     """Return what all rows available say to the star of one learner; its axis is left out."""
-    rows = np.asarray(available.sum(axis=0), dtype=np.float64)
+    rows = rows_where(available)
     evidence = star_evidence(
         seen.innovation[:, :, None],
         seen.variance[:, :, None],
-        log_likelihood(taken.nis, taken.determinant, rows)[:, None],
-        available,
+        log_likelihood(taken.nis, taken.determinant, rows.total)[:, None],
         rows,
     )
     return Evidence(evidence.score[:, 0], evidence.information[:, :, 0])
@@ -364,10 +363,11 @@ def test_no_measurement_says_nothing() -> None:
     """Of two learners of five robots."""
     rng = np.random.default_rng(86)
     variance = rng.uniform(0.1, 2.0, (4, STAR_SIZE, 2, 5))
-    rows, nothing = np.zeros(5), np.zeros((4, 5), dtype=np.bool_)
-    likelihood = log_likelihood(np.zeros((STAR_SIZE, 2, 5)), np.ones((STAR_SIZE, 2, 5)), rows)
+    nothing = rows_where(np.zeros((4, 5), dtype=np.bool_))
+    nis, determinant = np.zeros((STAR_SIZE, 2, 5)), np.ones((STAR_SIZE, 2, 5))
+    likelihood = log_likelihood(nis, determinant, nothing.total)
     assert not np.any(likelihood)
-    evidence = star_evidence(np.zeros_like(variance), variance, likelihood, nothing, rows)
+    evidence = star_evidence(np.zeros_like(variance), variance, likelihood, nothing)
     assert evidence.score.shape == (SCALE_COUNT, 2, 5)
     assert evidence.information.shape == (SCALE_COUNT, SCALE_COUNT, 2, 5)
     assert not any(np.any(part) for part in evidence)
@@ -402,10 +402,9 @@ def test_rows_that_do_not_teach_add_no_information(
     z, noise = rng.standard_normal(4), rng.uniform(0.1, 2.0, (4, STAR_SIZE))
     alone = compared(bank, z, noise, teaches)
     seen = innovate(bank, Readings(z, np.ones(4, dtype=np.bool_)), noise)
-    rows = np.asarray(float(np.sum(teaches)))
     likelihood = np.zeros((STAR_SIZE, 1))
     among_all = star_evidence(
-        seen.innovation[:, :, None], seen.variance[:, :, None], likelihood, teaches, rows
+        seen.innovation[:, :, None], seen.variance[:, :, None], likelihood, rows_where(teaches)
     )
     assert among_all.information[:, :, 0].tobytes() == alone.information.tobytes()
 
@@ -415,18 +414,16 @@ def test_learners_and_robots_are_told_what_each_is_told_alone() -> None:
     shape = (STAR_SIZE, 2, 3)
     innovation, variance = rng.standard_normal((4, *shape)), rng.uniform(0.1, 2.0, (4, *shape))
     teaches = rng.random((4, 3)) < 0.7
-    rows = teaches.sum(axis=0).astype(np.float64)
     likelihood = rng.standard_normal(shape)
     given = innovation.copy()
-    together = star_evidence(innovation, variance, likelihood, teaches, rows)
+    together = star_evidence(innovation, variance, likelihood, rows_where(teaches))
     assert innovation.tobytes() == given.tobytes()
     for learner, robot in np.ndindex(2, 3):
         alone = star_evidence(
             innovation[:, :, learner : learner + 1, robot],
             variance[:, :, learner : learner + 1, robot],
             likelihood[:, learner : learner + 1, robot],
-            teaches[:, robot],
-            rows[robot],
+            rows_where(teaches[:, robot]),
         )
         for one, other in zip(together, alone, strict=True):
             np.testing.assert_allclose(one[..., learner, robot], other[..., 0], rtol=1e-14)

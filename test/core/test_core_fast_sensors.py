@@ -10,8 +10,9 @@ from periods import FIX, FIX_AND_COMPASS, MODES, ONLY_COMPASS, START_COVARIANCE
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, Epoch, FilterModel, FilterState, step
-from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, SPREAD_GROWTH, SPREAD_MEMORY
+from fnn_ekf_ros.core.gate import SPREAD_GROWTH, SPREAD_MEMORY
 from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
 from fnn_ekf_ros.core.state import start_filter, with_noise
 
 

@@ -18,10 +18,10 @@ from periods import (
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.bank import FIX_ROWS
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, Epoch, FilterModel, step
 from fnn_ekf_ros.core.joint import calm_noise
 from fnn_ekf_ros.core.motion import MotionModel, displacement, move
+from fnn_ekf_ros.core.rows import FIX_ROWS
 from fnn_ekf_ros.core.state import for_mode, reset_pose, start_filter
 
 

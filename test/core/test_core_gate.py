@@ -13,10 +13,11 @@ from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.chi_square import exceeded_with, upper_tail
 from fnn_ekf_ros.core.filter import Epoch, FilterModel, FilterState, StepResult, step
-from fnn_ekf_ros.core.gate import COMPASS, LRF_POSE, OPEN_GATE, gate_for, start_gate
+from fnn_ekf_ros.core.gate import OPEN_GATE, gate_for, start_gate
 from fnn_ekf_ros.core.joint import JointState
 from fnn_ekf_ros.core.joint_filters import SETTLED
 from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
 from fnn_ekf_ros.core.state import start_filter
 
 MODES = ("none", "r", "q", "joint")

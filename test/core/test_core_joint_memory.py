@@ -22,14 +22,14 @@ from fnn_ekf_ros.core.joint import (
     start_joint,
 )
 from fnn_ekf_ros.core.joint_filters import JOINT_COUNT
+from fnn_ekf_ros.core.rows import rows_where
 
 
 def nothing_new(scored: BoolArray, teaches: BoolArray, since_scored: float) -> Lesson:
     """Return readings of which all filters are equally right: they inform of nothing."""
-    rows = teaches.sum(axis=0).astype(np.float64)
     none = np.zeros((4, JOINT_COUNT))
     since = np.asarray(since_scored)
-    return Lesson(none, none + 1.0, none[0], teaches, rows, scored, since)
+    return Lesson(none, none + 1.0, none[0], rows_where(teaches), rows_where(scored), since)
 
 
 def after_lessons(

@@ -12,7 +12,6 @@ from periods import FIX, FIX_AND_COMPASS, NO_ROWS, ONLY_COMPASS, bytes_of
 
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, Epoch, FilterModel, fuse
-from fnn_ekf_ros.core.gate import rows_by_sensor
 from fnn_ekf_ros.core.joint_filters import NEWER_COUNT
 from fnn_ekf_ros.core.pace import (
     COMPASS_INTERVAL,
@@ -23,6 +22,7 @@ from fnn_ekf_ros.core.pace import (
     scored_rows,
     start_pace,
 )
+from fnn_ekf_ros.core.rows import rows_where
 from fnn_ekf_ros.core.state import JOINT, start_filter
 
 
@@ -40,15 +40,15 @@ def scored_of(fixes: list[float], compass: list[float]) -> Scored:
     for t in sorted({*fixes, *compass}):
         pace, now = later(pace, (t - now) / NOMINAL_PERIOD_S), t
         is_fix = t in fixes
-        available = np.array([is_fix, is_fix, t in compass, False])
-        rows = rows_by_sensor(available)
-        scored = scored_rows(pace, available, rows)
-        assert not np.any(scored & ~available)
-        assert scored[Row.X] == scored[Row.Y] == is_fix
+        rows = rows_where(np.array([is_fix, is_fix, t in compass, False]))
+        scored = scored_rows(pace, rows)
+        steps = is_step(pace, scored)
+        assert not np.any(scored.each & ~rows.each)
+        assert scored.each[Row.X] == scored.each[Row.Y] == is_fix
         found.fixes.extend([t] if is_fix else [])
-        found.compass.extend([t] if scored[Row.COMPASS_YAW] else [])
-        found.steps.extend([t] if is_step(pace, scored) else [])
-        pace = after_readings(pace, rows, scored)
+        found.compass.extend([t] if scored.each[Row.COMPASS_YAW] else [])
+        found.steps.extend([t] if steps else [])
+        pace = after_readings(pace, rows, scored, steps)
     return found
 
 
@@ -128,16 +128,18 @@ def test_robots_of_a_batch_are_scored_each_by_its_own_readings() -> None:
     for _ in range(200):
         elapsed = float(rng.exponential(0.2))
         available = rng.random((4, 3)) < np.array([0.3, 0.3, 0.7, 0.1])[:, None]
-        together, rows = later(together, elapsed), rows_by_sensor(available)
-        scored = scored_rows(together, available, rows)
+        together, rows = later(together, elapsed), rows_where(available)
+        scored = scored_rows(together, rows)
         steps = is_step(together, scored)
         for i in range(3):
             alone[i] = later(alone[i], elapsed)
-            mine = scored_rows(alone[i], available[:, i], rows[:, i])
-            np.testing.assert_array_equal(scored[:, i], mine)
-            assert steps[i] == is_step(alone[i], mine)
-            alone[i] = after_readings(alone[i], rows[:, i], mine)
-        together = after_readings(together, rows, scored)
+            own = rows_where(available[:, i])
+            mine = scored_rows(alone[i], own)
+            np.testing.assert_array_equal(scored.each[:, i], mine.each)
+            step_alone = is_step(alone[i], mine)
+            assert steps[i] == step_alone
+            alone[i] = after_readings(alone[i], own, mine, step_alone)
+        together = after_readings(together, rows, scored, steps)
         for i in range(3):
             assert bytes_of([part[..., i] for part in together]) == bytes_of(alone[i])
 

@@ -9,7 +9,6 @@ import pytest
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row, components_last
 from fnn_ekf_ros.core.bank import (
-    FIX_ROWS,
     Bank,
     Correction,
     Innovations,
@@ -20,6 +19,7 @@ from fnn_ekf_ros.core.bank import (
     wrapped,
 )
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.rows import FIX_ROWS
 
 Covariances = Callable[[np.random.Generator, int, int], FloatArray]
 BOTH_MODELS = pytest.mark.parametrize("model", list(MotionModel))
