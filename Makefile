@@ -4,6 +4,7 @@
 # make hostile: a million hostile messages through the pipeline, 10^5 through a node, half an hour.
 # make soak: ten simulated days in one run, about an hour; not part of make test.
 # make bench: docs/benchmarks.md, what everything costs, 15 to 20 minutes; not part of make test.
+# make coverage: which lines of the package the tests run; make release-check: ready for a release?
 # All set up .venv first, with pinned versions; nothing else is installed, but for make bench,
 # which has filterpy and scipy in build/bench.
 
@@ -17,7 +18,7 @@ COLCON_PATHS := --build-base build/colcon --install-base build/install
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 
-.PHONY: demo faults hostile test lint soak bench clean
+.PHONY: demo faults hostile test lint coverage release-check soak bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
@@ -36,7 +37,7 @@ hostile: export FNN_EKF_ROS_HOSTILE_SEED ?= 1
 hostile: export FNN_EKF_ROS_HOSTILE_MESSAGES = 1000000
 hostile: export FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES = 100000
 hostile: $(VENV)/.installed
-	$(BIN)/python -m pytest -s test/unit/test_hostile.py test/live/test_hostile_node.py
+	$(BIN)/python -m pytest -s test/localizer/test_hostile.py test/live/test_hostile_node.py
 
 soak: $(VENV)/.installed
 	$(BIN)/python scripts/soak.py
@@ -49,12 +50,23 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Of the tests without live nodes; nothing is written but the table on the terminal.
+coverage: $(VENV)/.installed-tests
+	mkdir -p build
+	COVERAGE_FILE=build/coverage $(BIN)/python -m pytest -q -m "not live" \
+	  --cov=fnn_ekf_ros --cov-branch --cov-report=term-missing:skip-covered
+
+release-check: $(VENV)/.installed lint
+	$(BIN)/python scripts/release_check.py
+
 $(VENV)/.installed: requirements.txt requirements-ros.txt setup.py package.xml
 	sh scripts/make_venv.sh "$(PYTHON)" "$(VENV)"
 	touch $@
 
-# For the tests of /tf only: make demo does not need it.
+# For make coverage and the tests of /tf only: make demo does not need them.
 $(VENV)/.installed-tests: $(VENV)/.installed requirements-tests.txt
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
+	  $$(grep -E '^(pytest-cov|coverage)==' requirements-tests.txt)
 	if ! $(BIN)/python -c 'import tf2_msgs' 2>/dev/null && command -v cmake >/dev/null; then \
 	  $(BIN)/python -m pip install --disable-pip-version-check --quiet \
 	    -r requirements-tests.txt; \

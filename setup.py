@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Builds with colcon (ament_python) and with plain pip; package.xml holds the version."""
 
 import xml.etree.ElementTree as ElementTree

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`python3 -m fnn_ekf_ros NAME ...`."""
 
 import sys

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The executables: one table, one place where errors become one line."""
 
 import argparse
@@ -43,13 +46,13 @@ COMMANDS = {
         is_node=True,
         stops_by_signal=True,
     ),
-    "simulate": Command("fnn_ekf_ros.tools.simulate", "the simulated robot straight into a bag"),
+    "simulate": Command("fnn_ekf_ros.commands.simulate", "the simulated robot straight into a bag"),
     "play": Command("fnn_ekf_ros.ros.play", "publish a recorded bag", stops_by_signal=True),
-    "replay": Command("fnn_ekf_ros.tools.replay", "the localizer over a bag: bag in, bag out"),
-    "import-csv": Command("fnn_ekf_ros.tools.import_csv", "a CSV recording into a bag"),
-    "evaluate": Command("fnn_ekf_ros.tools.evaluate", "errors against a ground truth"),
-    "train": Command("fnn_ekf_ros.tools.train", "learn the membership functions"),
-    "study": Command("fnn_ekf_ros.tools.study", "Monte Carlo runs through every filter"),
+    "replay": Command("fnn_ekf_ros.commands.replay", "the localizer over a bag: bag in, bag out"),
+    "import-csv": Command("fnn_ekf_ros.commands.import_csv", "a CSV recording into a bag"),
+    "evaluate": Command("fnn_ekf_ros.commands.evaluate", "errors against a ground truth"),
+    "train": Command("fnn_ekf_ros.commands.train", "learn the membership functions"),
+    "study": Command("fnn_ekf_ros.commands.study", "Monte Carlo runs through every filter"),
 }
 
 
@@ -58,8 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     parser = argparse.ArgumentParser(
         prog=PACKAGE,
-        description="Localization of two-wheeled robots by an EKF that finds its own noise.",
-        epilog="NAME --help tells more.",
+        description="Localization of two-wheeled robots by an EKF that estimates its noise.",
+        epilog="NAME --help shows the arguments of a command.",
     )
     _add_version(parser, PACKAGE)
     names = parser.add_subparsers(metavar="NAME", required=True)
@@ -86,7 +89,7 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
         return FAILURE
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has gone
+    except BrokenPipeError:  # the reader of the output has ended
         _discard_output()
         return FAILURE
     except MemoryError:
@@ -101,7 +104,7 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
 def _run(name: str, command: Command, given: list[str]) -> int:
     stop_by_signal() if command.stops_by_signal else exit_by_signal()
     own, ros_arguments = _split(given) if command.is_node else (given, [])
-    # Nodes tell their version without ROS, too: before their module is imported.
+    # Nodes print their version without ROS, too: before their module is imported.
     early = argparse.ArgumentParser(prog=name, add_help=False, allow_abbrev=False)
     _add_version(early, f"{name} ({PACKAGE})")
     early.parse_known_args(own)
@@ -124,7 +127,7 @@ def _discard_output() -> None:
 
 
 class _Version(argparse.Action):
-    """Prints name and version, which is looked up only then."""
+    """Prints name and version; the version is looked up only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         print(f"{self.metavar} {version()}")

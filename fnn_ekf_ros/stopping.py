@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Signals: a node stops between two messages, a command leaves nothing behind."""
 
 import signal
@@ -16,7 +19,7 @@ def stop_by_signal() -> None:
 
 
 def exit_by_signal() -> None:
-    """Let SIGTERM and SIGHUP end the process the way SIGINT does, with all that is cleaned up."""
+    """Let SIGTERM and SIGHUP end the process as SIGINT does, with all cleanup."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _exit)
 

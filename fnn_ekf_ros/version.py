@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Which version of the package this is.
 
 What looks it up is imported there: it would take 2 MB of every node that is never asked.

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A simulated robot, its localizer and RViz: `ros2 launch fnn_ekf_ros demo.launch.py`."""
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The localizer of one robot: `ros2 launch fnn_ekf_ros localizer.launch.py params_file:=FILE`."""
 
 from launch import LaunchDescription

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The benchmark: what a filter step, a batch, `replay`, the live node and a study cost.
 
 Writes docs/benchmarks.md and docs/benchmarks.json once all rows are measured. With --only or
@@ -18,8 +21,8 @@ from bench.results import Context, Result, missed
 
 import fnn_ekf_ros
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.stopping import exit_by_signal
-from fnn_ekf_ros.text_files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, BUILD = ROOT / "docs", ROOT / "build" / "bench"
@@ -90,7 +93,9 @@ def made(arguments: argparse.Namespace) -> None:
     def say(text: str) -> None:
         print(f"{time.monotonic() - began_s:5.0f} s: {text}", file=sys.stderr, flush=True)
 
-    context = Context(ROOT, BUILD, arguments.against, arguments.quick, say)
+    context = Context(
+        root=ROOT, build=BUILD, against=arguments.against, quick=arguments.quick, say=say
+    )
     results, failed = measured(context, names)
     if machine.code(ROOT) != code:
         raise FnnEkfError("the code was changed while it was measured")

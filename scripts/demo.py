@@ -1,9 +1,12 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The demo: a recorded drive through the live localizer, next to what it would be without.
 
 Plays bags/round into live ROS topics at up to twenty times real time, as fast as the localizer
 keeps up, records its odom, and compares: wheels alone, the plain EKF and the FNN-EKF
 (`adaptation: joint`, the default), all started with wheel noise five times too small and
-measurement noise five times too large (variances wrong by 25), and the EKF that was told the true
+measurement noise five times too large (variances wrong by 25), and the EKF that knows the true
 noise.
 
 The results go into demo/ once all of them are there; until then it keeps the last ones.
@@ -18,13 +21,13 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import ODOMETRY_TYPE
 from fnn_ekf_ros.ros.record import Recorder
 from fnn_ekf_ros.stopping import exit_by_signal
-from fnn_ekf_ros.work_folders import WorkFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG, PARAMETERS, OUT = Path("bags/round"), Path("bags/round.yaml"), Path("demo")
@@ -200,19 +203,17 @@ def replaced(out: Path) -> Iterator[Path]:
     """
     if os.path.lexists(out) and (out.is_symlink() or not out.is_dir()):
         raise FnnEkfError(f"'{out}' is no folder: remove it first")
-    work = WorkFolder(out)
-    new, old = work.path / out.name, work.path / "old"
-    try:
-        work.make()
+    with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as work:
+        new, old = Path(work) / out.name, Path(work) / "old"
         new.mkdir()
         yield new
-        if out.exists():
-            out.rename(old)
-        new.rename(out)
-    finally:
-        if old.exists() and not out.exists():
-            old.rename(out)
-        work.remove()
+        try:
+            if out.exists():
+                out.rename(old)
+            new.rename(out)
+        finally:
+            if old.exists() and not out.exists():
+                old.rename(out)
 
 
 def run() -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What README.md and docs/*.md hold: indented blocks, commands to run, files that are shown."""
 
 import re

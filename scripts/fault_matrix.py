@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fault matrix: every fault through the live localizer, what it said and how far it was off.
 
 Each row is a run of `fake_robot` and `localizer` as processes, on a ROS domain of its own, recorded
@@ -23,13 +26,13 @@ from typing import Any
 from faults.processes import run_row
 from faults.recordings import Recordings, chosen, code_version
 from faults.rows import ROWS, UNDISTURBED
+from faults.scenarios import FaultScenario
 
 import fnn_ekf_ros
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.file_locks import NO_LOCKS, lock
+from fnn_ekf_ros.files.locks import lock
+from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.stopping import exit_by_signal
-from fnn_ekf_ros.tools.fault_runs import Row
-from fnn_ekf_ros.tools.pictures import require_matplotlib
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
@@ -37,13 +40,14 @@ FAILURE, INTERRUPTED = 1, 130
 SPAWN = multiprocessing.get_context("spawn")
 """How processes are started: rclpy does not survive a fork."""
 RATE, TICKS_SHARE = 6.0, 0.5
-"""Times real time at first; ticks, which are stamped on arrival, suffer from a hurry: so much of
-it."""
+"""Rate of the first attempt [times real time], and the factor on it of rows with ticks: these are
+stamped on arrival, which is less precise at a high rate."""
 ATTEMPTS = 4
-"""A run whose processes met too late or were too slow is tried again, slower each time."""
+"""Largest number of attempts of a run whose processes met too late or were too slow; each is slower
+than the one before."""
 
 
-def tried(row: Row, domain: int, rate: float, made_by: str) -> str:
+def tried(row: FaultScenario, domain: int, rate: float, made_by: str) -> str:
     """Run a row, several times if need be, and keep what was recorded.
 
     Returns:
@@ -125,7 +129,7 @@ def in_a_process(processes: Processes, *task: Any) -> str:
         receiver.close()
 
 
-def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[str]:
+def run_all(rows: Sequence[FaultScenario], jobs: int, rate: float, made_by: str) -> list[str]:
     """Run rows, each in a process and on a domain of its own; show progress.
 
     Returns:
@@ -154,7 +158,9 @@ def run_all(rows: Sequence[Row], jobs: int, rate: float, made_by: str) -> list[s
     return failed
 
 
-def rows_to_run(arguments: argparse.Namespace, recordings: Recordings, made_by: str) -> list[Row]:
+def rows_to_run(
+    arguments: argparse.Namespace, recordings: Recordings, made_by: str
+) -> list[FaultScenario]:
     """Return the rows that the arguments ask for.
 
     Raises:
@@ -205,19 +211,9 @@ def alone() -> Iterator[None]:
         OSError: the folder cannot be made or used.
     """
     OUT.mkdir(parents=True, exist_ok=True)
-    held = None
-    try:
-        held = lock(OUT, os.O_RDONLY | os.O_DIRECTORY)
-    except BlockingIOError:
-        raise FnnEkfError(f"another run is writing in {OUT}") from None
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise
-    try:
+    taken = FnnEkfError(f"another run is writing in {OUT}")
+    with lock(OUT, os.O_RDONLY | os.O_DIRECTORY, taken):
         yield
-    finally:
-        if held is not None:
-            os.close(held)
 
 
 def made(arguments: argparse.Namespace) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """make_tf2_msgs.py FOLDER: builds tf2_msgs against the ROS wheels, for the tests of /tf.
 
 tf2_msgs comes with every ROS installation, but not as a wheel. Needs cmake, a compiler and

@@ -1,4 +1,7 @@
 #!/bin/sh
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 # make_venv.sh PYTHON VENV: a virtual environment with all that the project needs.
 # Where a ROS 2 installation is sourced, its rclpy and messages are used; elsewhere the wheels.
 set -eu

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Ten simulated days in one run of the localizer's pipeline: does anything grow, drift or break?
 
 A robot drives figures of eight, with a rest now and then; its wheels slip, its sensors are noisy,
@@ -18,11 +21,12 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.motion import MotionModel, displacement
+from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD
-from fnn_ekf_ros.pipeline.configure import wheel_geometry
-from fnn_ekf_ros.pipeline.events import (
+from fnn_ekf_ros.reports.progress import with_progress
+from fnn_ekf_ros.timeline.events import (
     CompassYaw,
     Estimate,
     Event,
@@ -31,22 +35,22 @@ from fnn_ekf_ros.pipeline.events import (
     Wheel,
     WheelCount,
 )
-from fnn_ekf_ros.pipeline.pipeline import Pipeline
-from fnn_ekf_ros.tools.progress import with_progress
+from fnn_ekf_ros.timeline.filter_model import wheel_geometry
 
 SPEED, LAP_S, REST_S = 0.3, 40.0, 20.0
-"""Two laps, one to each side, make an eight; a rest follows (m/s, s, s)."""
+"""Speed, duration of a lap, and of the rest after two laps, one to each side (m/s, s, s)."""
 HOUR, DAY = 9600, 230400
-"""Periods of 375 ms."""
-WILD_AT, SILENT_AT, CARRIED_AT = 2000, 4000, 6000
-"""Periods of the hour at which something goes wrong."""
+"""Lengths of an hour and a day [periods of 375 ms]."""
+OUTLIER_AT, SILENT_AT, CARRIED_AT = 2000, 4000, 6000
+"""Times in each hour of the outlier, the silent compass and the carried robot [periods]."""
 SILENCE = 40
+"""Duration of the compass's silence [periods]."""
 TROUBLED = 60
-"""Periods after something went wrong that are not scored."""
+"""Time after each of these that is not scored [periods]: the filter needs it to settle."""
 LARGEST_ERROR = 2.0
-"""No scored pose may be further off: twenty standard deviations of a fix [m]."""
+"""Largest error of a scored position [m]: twenty standard deviations of a fix."""
 MOST_GROWTH_MB = 4.0
-"""Memory may grow by so much after the first day; it is looked at once an hour."""
+"""Largest growth of memory after the first day [MB], checked once an hour."""
 PARAMETERS = LocalizerParameters(
     wheel_radius=0.025,
     wheel_separation=0.6,
@@ -54,6 +58,7 @@ PARAMETERS = LocalizerParameters(
     encoder_bits=16,
 )
 PERIOD_NS = round(PARAMETERS.period * 1e9)
+"""The filter's period [ns]."""
 
 
 class Robot:
@@ -61,7 +66,7 @@ class Robot:
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._metres_per_count = wheel_geometry(PARAMETERS).metres_per_count
+        self._meters_per_count = wheel_geometry(PARAMETERS).meters_per_count
         self._travel = np.zeros(2)
         self.pose = np.zeros(3)
 
@@ -84,12 +89,12 @@ class Robot:
         """Return what the sensors say at the end of a period, the encoders last."""
         stamp_ns = period * PERIOD_NS
         z = self.pose + np.asarray(MEASUREMENT_STD) * self._rng.standard_normal(3)
-        if period % HOUR == WILD_AT:
+        if period % HOUR == OUTLIER_AT:
             z[0] += 20.0
         events: list[Event] = [PoseFix(stamp_ns, z, np.zeros((3, 3)))]
         if not SILENT_AT <= period % HOUR < SILENT_AT + SILENCE:
             events.append(CompassYaw(stamp_ns, float(z[2])))
-        counts = np.floor(self._travel / self._metres_per_count)
+        counts = np.floor(self._travel / self._meters_per_count)
         modulus = 2**PARAMETERS.encoder_bits
         return events + [
             WheelCount(stamp_ns, wheel, int(counts[wheel]) % modulus) for wheel in Wheel
@@ -124,7 +129,7 @@ class Soak:
 
     def __init__(self, seed: int) -> None:
         self._robot = Robot(seed)
-        self._pipeline = Pipeline(PARAMETERS, networks_for(PARAMETERS))
+        self._pipeline = Localizer(PARAMETERS, networks_for(PARAMETERS))
         self._previous_ns: int | None = None
         self._scored, self._sum_of_squares = 0, 0.0  # no list: memory is what is looked at
         self._levels: Counter[str] = Counter()
@@ -140,7 +145,7 @@ class Soak:
 
     def _look_at(self, period: int, outputs: Sequence[Output]) -> None:
         for output in outputs:
-            for status in output.health or ():
+            for status in output.statuses or ():
                 if status.level > 0:
                     self._levels[f"{status.name} {status.level.name}"] += 1
             if output.estimate is None:

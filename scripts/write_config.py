@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes config/*.yaml from the defaults in the code: python3 scripts/write_config.py."""
 
 from pathlib import Path

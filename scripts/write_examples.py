@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Runs the examples of the documents and writes what they show: python3 scripts/write_examples.py.
 
 Numbers in README.md and docs/*.md that a command beside them gives are rewritten in place. The
@@ -19,16 +22,16 @@ from typing import Any, NamedTuple
 import demo
 from documents import COMMAND, INDENTED, ROOT, example, files, read
 
-from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.commands.simulate import START_NS
+from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.messages import stamp_ns
-from fnn_ekf_ros.pipeline.events import Level
-from fnn_ekf_ros.text_files import write_text
-from fnn_ekf_ros.tools.simulate import START_NS
+from fnn_ekf_ros.recordings.bag_files import BagReader
+from fnn_ekf_ros.timeline.events import Level
 
 BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
 DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
-"""Lines of the README's table, and what scripts/demo.py tells `replay` for each."""
+"""Lines of the README's table, and the arguments of `replay` for each in scripts/demo.py."""
 MEASURED = ("bias.yaml", "late.yaml")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
@@ -112,16 +115,18 @@ def reports(bag: Path) -> Iterator[tuple[float, dict[str, Any]]]:
 
 
 def values(status: Any) -> dict[str, str]:
-    """Return what a status tells beside its message."""
+    """Return the values of a status by key."""
     return {entry.key: entry.value for entry in status.values}
 
 
-def beliefs(folder: Path) -> str:
-    """Return what `filter` tells at the end of the demo's replay, as docs/diagnostics.md has it."""
+def estimated_noise(folder: Path) -> str:
+    """Return values of `filter` at the end of the demo's replay, as in docs/diagnostics.md."""
     *_, (_, last) = reports(demo_bag(ADAPTED, folder))
-    told = values(last["filter"])
-    names = ("adaptation", "process noise", "measurement noise", "believes", "because", "weights")
-    return "".join(f"    {key}: {told[key]}\n" for key in told if key.startswith(names))
+    found = values(last["filter"])
+    names = (
+        "adaptation", "process noise", "measurement noise", "estimated noise", "reason:", "weights",
+    )  # fmt: skip
+    return "".join(f"    {key}: {found[key]}\n" for key in found if f"{key}:".startswith(names))
 
 
 def report(after_s: float, folder: Path) -> str:
@@ -175,7 +180,8 @@ SHOWN = (
           rf"Two seconds into the fault:\n\n({INDENTED})", partial(report, 2.0)),
     Shown("docs/diagnostics.md", "after fifteen seconds",
           rf"Fifteen seconds into the fault:\n\n({INDENTED})", partial(report, 15.0)),
-    Shown("docs/diagnostics.md", "end of the demo", rf"end of the demo:\n\n({INDENTED})", beliefs),
+    Shown("docs/diagnostics.md", "end of the demo",
+          rf"end of the demo:\n\n({INDENTED})", estimated_noise),
     Shown("docs/results.md", "late fixes", r"these give\s+(.*?)\.\n", late_fixes),
 )  # fmt: skip
 

@@ -1,13 +1,16 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Adapting the noise covariances by the fuzzy neural network (Nguyen et al., eqs. 13-16).
 
     D = S - C_hat                     mismatch, row by row                      (14)
     R <- R + dR(D)                    modes `r` and `rq`                        (15)
     Q <- Q + dQ(D)                    modes `q` and `rq`                        (16)
-        D_forward = D_x cos^2(theta) + D_y sin^2(theta),  D_heading = D_theta
+        D_distance = D_x cos^2(theta) + D_y sin^2(theta),  D_rotation = D_theta
 
-S is the filter's own H (A P A' + W Q W') H' + R, which is what the paper's (16) becomes when its
-A P A' + Q (3x3 plus 2x2) is read as it must be. Mode `rq` is the paper's filter: dR and dQ come
-from the same D in the same step, each through a network of its own.
+S is the filter's own H (A P A' + W Q W') H' + R; in the paper's (16), A P A' + Q (3x3 plus 2x2) is
+read as A P A' + W Q W'. Mode `rq` is the paper's filter: dR and dQ follow from the same D in the
+same step, each by a network of its own.
 """
 
 from collections.abc import Sequence
@@ -28,22 +31,23 @@ from fnn_ekf_ros.core.fuzzy import FuzzySets, Inference, infer, infer_centroid
 from fnn_ekf_ros.core.window import InnovationWindow, mean_square
 
 LARGEST_DECREASE = 0.75
-"""Part of a variance one step may take away. The paper's rule overshoots (its slope is 1.5): from
-a start that is far too large R + dR would be negative, and a filter that runs even one step on
-the smallest allowed R throws its covariance away."""
+"""Largest decrease of a variance in one step, as a part of it. The paper's rule overshoots (its
+slope is 1.5): from a start that is far too large R + dR would be negative, and one step on the
+smallest allowed R would collapse the filter's covariance."""
 
 SMALLEST_WINDOW_SHARE = 1.0 / 3.0
-"""Part of the window a row must have filled before it teaches: a third of 45 innovations shows a
-start that is wrong by 25 well enough, and waiting for all of them costs twice as much."""
+"""Filled part of a row's window from which on the row is learned from. A third of 45 innovations
+suffices to see a start that is wrong by 25 in variance; waiting for all of them doubles its
+cost."""
 
 RULE_COUNT = 3
 """Rules of the network: increase, maintain, decrease."""
 _ROWS_OF_PROCESS = [Row.X, Row.COMPASS_YAW]
-"""Rows in which mode `q` tells of distance and rotation."""
+"""Rows in which mode `q` reports the firing strengths of distance and rotation."""
 
 
 class AdaptationMode(StrEnum):
-    """Which noise covariances the network moves."""
+    """Which noise covariances the network adapts."""
 
     NONE = "none"
     R = "r"
@@ -53,17 +57,17 @@ class AdaptationMode(StrEnum):
 
     @property
     def adapts_measurement_noise(self) -> bool:
-        """Whether R moves."""
+        """Whether R is adapted."""
         return self in (AdaptationMode.R, AdaptationMode.RQ, AdaptationMode.JOINT)
 
     @property
     def adapts_process_noise(self) -> bool:
-        """Whether Q moves."""
+        """Whether Q is adapted."""
         return self in (AdaptationMode.Q, AdaptationMode.RQ, AdaptationMode.JOINT)
 
 
 class InferenceKind(StrEnum):
-    """How the rules' consequents become one number."""
+    """How the consequents of the rules are combined."""
 
     TSUKAMOTO = "tsukamoto"
     CENTROID = "centroid"
@@ -75,10 +79,10 @@ class FuzzyNetwork:
 
     Attributes:
         sets: the membership functions.
-        position_unit: size of the sets' unit for position variances [m^2]; 1e-6 is mm^2.
-        yaw_unit: size of the sets' unit for yaw variances [rad^2]; 1e-6 is mrad^2.
-        change_limit: half width of the universe of the consequents [the sets' unit]; used by
-            centroid defuzzification only.
+        position_unit: the sets' unit of position variances [m^2]; 1e-6 is mm^2.
+        yaw_unit: the sets' unit of yaw variances [rad^2]; 1e-6 is mrad^2.
+        change_limit: half width of the universe of the consequents [the sets' unit]; for centroid
+            defuzzification only.
     """
 
     sets: FuzzySets
@@ -93,12 +97,12 @@ class FuzzyNetwork:
 
 
 class Networks(NamedTuple):
-    """The networks of all modes; each of the paper's serves all axes of its covariance.
+    """The networks of all modes; each of the paper's is used for all axes of its covariance.
 
     Attributes:
         measurement: from D to dR, modes `r` and `rq`.
         process: from D to dQ, modes `q` and `rq`.
-        joint: from what the evidence asks for to the change of a log variance, mode `joint`.
+        joint: from u to the change of a log variance, mode `joint`.
     """
 
     measurement: FuzzyNetwork
@@ -111,12 +115,12 @@ class Adaptation:
     """How the noise is adapted.
 
     Attributes:
-        mode: which covariances; `joint` is run by `joint.learn`.
+        mode: which covariances are adapted; mode `joint` by `joint.learn`.
         kind: inference of the paper's networks.
         networks: membership functions.
-        window_length: N of eq. 13; a row teaches once `SMALLEST_WINDOW_SHARE` of it is filled.
+        window_length: N of eq. 13.
         bounds: limits of the adapted variances.
-        learning: False holds the noise where it is.
+        learning: False keeps the noise as it is.
     """
 
     mode: AdaptationMode
@@ -128,24 +132,24 @@ class Adaptation:
 
     @property
     def moves_by_mismatch(self) -> bool:
-        """Whether D moves Q or R: the paper's modes."""
+        """Whether Q or R is adapted by D: the paper's modes."""
         return self.mode in (AdaptationMode.R, AdaptationMode.Q, AdaptationMode.RQ)
 
     @property
     def learns_measurement_noise(self) -> bool:
-        """Whether R moves now."""
+        """Whether R is adapted now."""
         return self.learning and self.mode.adapts_measurement_noise
 
 
 class Adapted(NamedTuple):
-    """Noise after one step of adaptation, and why.
+    """Noise after one step of adaptation, and the reasons.
 
     Attributes:
         process_noise: `(2, *batch)` diagonal of Q for the nominal period (m^2, rad^2).
         measurement_noise: `(4, *batch)` diagonal of R, rows as in `Row`.
         mismatch: `(4, *batch)` D of the rows (m^2, m^2, rad^2, rad^2); 0 where there is none yet.
-        firing_strength: `(3, 4, *batch)` alpha of the rules I, M, D for the rows of R; mode `q`,
-            which has none, has Q's in the rows of x and compass yaw. 0 where nothing was adapted.
+        firing_strength: `(3, 4, *batch)` alpha of the rules I, M, D for the rows of R; in mode `q`
+            those of Q, in the rows of x and compass yaw. 0 where nothing was adapted.
         process_firing_strength: `(3, 2, *batch)` the same for Q's distance and rotation.
     """
 
@@ -157,11 +161,11 @@ class Adapted(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """By how much the noise in use moves when the noise that is adapted moves by one.
+    """Change of the noise in use per change of the adapted noise.
 
     Attributes:
-        process: of Q, whose nominal period may not be the filter's.
-        measurement: `(4, *batch)` of R, where sensors report covariances of their own.
+        process: of Q: the filter's period in nominal periods.
+        measurement: `(4, *batch)` of R: not 1 where fixes report covariances.
     """
 
     process: float
@@ -178,7 +182,7 @@ def adapt(
     heading: FloatArray,
     scales: Scales,
 ) -> Adapted:
-    """Move Q, R or both one step by what the window says about S.
+    """Adapt Q, R or both by one step, from the mismatch of S and the window.
 
     Args:
         adaptation: mode, network and limits.
@@ -186,9 +190,9 @@ def adapt(
         measurement_noise: `(4, *batch)` diagonal of R.
         window: the last innovations, this step's included.
         innovation_variance: `(4, *batch)` diagonal of S.
-        available: `(4, *batch)` rows measured in this step; only they teach anything.
-        heading: `(*batch)` heading the step's way is projected on [rad].
-        scales: the network's output is a change of the noise in use; it is divided by these.
+        available: `(4, *batch)` rows measured in this step; only these are learned from.
+        heading: `(*batch)` direction in which the step's distance counts [rad].
+        scales: the network's output, a change of the noise in use, is divided by these.
     """
     mismatch = np.where(window.counts > 0.0, innovation_variance - mean_square(window), 0.0)
     adapted = Adapted(
@@ -237,14 +241,14 @@ def _adapt_process_noise(
     network = adaptation.networks.process
     D = before.mismatch
     c2 = np.cos(heading) ** 2
-    forward = D[Row.X] * c2 + D[Row.Y] * (1.0 - c2)
+    distance = D[Row.X] * c2 + D[Row.Y] * (1.0 - c2)
     compass_ready, lrf_ready = ready[Row.COMPASS_YAW], ready[Row.LRF_YAW]
-    yaw = np.where(compass_ready, D[Row.COMPASS_YAW], D[Row.LRF_YAW])
+    rotation = np.where(compass_ready, D[Row.COMPASS_YAW], D[Row.LRF_YAW])
     known = np.stack([ready[Row.X] & ready[Row.Y], compass_ready | lrf_ready])
     inference, dQ = _infer(
         adaptation.kind,
         network,
-        np.stack([forward, yaw]),
+        np.stack([distance, rotation]),
         np.array([network.position_unit, network.yaw_unit]),
     )
     moved = _moved(
@@ -269,7 +273,7 @@ def _moved(
 def _infer(
     kind: InferenceKind, network: FuzzyNetwork, mismatch: FloatArray, unit: FloatArray
 ) -> tuple[Inference, FloatArray]:
-    """Run a network on mismatches in SI units; returns its output and the change in SI units."""
+    """Return the inference from mismatches in SI units, and the change in SI units."""
     unit = against(unit, mismatch)
     if kind is InferenceKind.CENTROID:
         inference = infer_centroid(network.sets, mismatch / unit, network.change_limit)

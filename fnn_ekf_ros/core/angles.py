@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The one place where angles are wrapped."""
 
 import math
@@ -14,10 +17,10 @@ def wrap_angle(angle: FloatArray | float) -> FloatArray:
         angle: any shape [rad].
 
     Returns:
-        The equivalent angles in (-pi, pi], same shape; angles already inside come back unchanged.
+        The equivalent angles in (-pi, pi], same shape; angles already inside are unchanged.
     """
     a = np.asarray(angle, dtype=np.float64)
-    # The remainder is only taken where it is needed, so that a small angle keeps all its bits.
+    # The remainder would round; angles inside the interval are not changed by it.
     inside = (a > -math.pi) & (a <= math.pi)
     if inside.all():
         return a

@@ -1,8 +1,11 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Array types and the layout of state and measurement vectors, shared by the whole core.
 
 Components come first, then the filters of a bank, then the batch: a mean is `(3, F, *batch)`, a
-covariance `(3, 3, F, *batch)`. So an entry of all filters is one block of memory, and one numpy
-call works on all of them.
+covariance `(3, 3, F, *batch)`. One entry of all filters is one block of memory, and one numpy call
+works on all filters.
 """
 
 from collections.abc import Sequence
@@ -16,6 +19,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 STATE_SIZE = 3
+"""Components of the state x = [x, y, theta] (m, m, rad)."""
 
 
 class Row(IntEnum):
@@ -28,8 +32,11 @@ class Row(IntEnum):
 
 
 MEASUREMENT_SIZE = len(Row)
+"""Rows of the measurement vector."""
 STATE_OF_ROW = (0, 1, 2, 2)
-"""Which component of the state each row measures."""
+"""Index of the state's component that each row measures."""
+STATES_OF_ROWS = np.array(STATE_OF_ROW)
+"""The same, to index arrays with: `mean[STATES_OF_ROWS]` is what all rows measure."""
 
 
 def transpose(matrix: FloatArray) -> FloatArray:
@@ -49,23 +56,16 @@ def diagonal_of(matrix: FloatArray) -> FloatArray:
     return diagonals
 
 
-def diagonal_matrix(diagonal: FloatArray) -> FloatArray:
-    """Return matrices `(n, n, ...)` with the entries `(n, ...)` on their diagonals."""
-    matrix = np.zeros((len(diagonal), *diagonal.shape))
-    diagonal_of(matrix)[...] = diagonal
-    return matrix
-
-
 def against(values: Sequence[float] | FloatArray, array: FloatArray) -> FloatArray:
-    """Return values `(n,)` with as many dimensions as an array `(n, ...)`, to go with it."""
+    """Return values `(n,)` in a shape that broadcasts against an array `(n, ...)`."""
     return np.reshape(values, (-1, *(1,) * (array.ndim - 1)))
 
 
 class Constant:
-    """Values `(n, ...)` that go with arrays which have filters and batch behind their components.
+    """Values `(n, ...)` that broadcast against arrays with filters and batch dimensions.
 
     Args:
-        values: as an array of one robot's one filter would have them.
+        values: one for each component, without the dimensions of filters and batch.
     """
 
     def __init__(self, values: Sequence[Any] | FloatArray) -> None:
@@ -73,7 +73,7 @@ class Constant:
         self._shaped = {0: self._values}
 
     def behind(self, dimensions: int) -> FloatArray:
-        """Return the values with so many dimensions of length 1 behind their own."""
+        """Return the values with a number of dimensions of length 1 appended."""
         found = self._shaped.get(dimensions)
         if found is None:
             found = self._values.reshape(*self._values.shape, *(1,) * dimensions)
@@ -96,9 +96,9 @@ def select(where: BoolArray, one: Any, other: Any) -> Any:
     """Return one of two values for each robot of a batch.
 
     Args:
-        where: `(*batch)` whether it is the first.
-        one: an array `(n, F, *batch)`, None, or a NamedTuple of such values.
-        other: of the same kind.
+        where: `(*batch)` whether to take the first.
+        one: the first, an array `(n, F, *batch)`, None, or a NamedTuple of such values.
+        other: the second, of the same kind.
     """
     if one is None:
         return None

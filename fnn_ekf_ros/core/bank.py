@@ -1,18 +1,23 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Many extended Kalman filters of one robot side by side (Nguyen et al., eqs. 5-12).
 
     prediction   P- = A P A' + W Q W'
     row by row   s = h P h' + d,   K = P h' / s,   x <- x + K e,   P <- P - K s K'
 
-All filters of a bank see the same wheels and the same readings; each has its own mean, covariance,
-Q and R. The rows of a reading are uncorrelated, or have been made so (`Noise.coupling`), so that
-one after the other does what all together would, without a matrix to invert:
+All filters of a bank take the same wheel increments and the same readings; each has its own mean,
+covariance, Q and R. The rows of a reading are uncorrelated, or are made uncorrelated
+(`Noise.coupling`), so that correcting row by row equals correcting by all rows together, without
+inverting a matrix:
 
-    e      what is left of the row's innovation after the rows before it
+    e      the row's innovation after the corrections by the rows before it
     s      the variance of e: the product of all s is det S, the sum of all e^2 / s is r' S^-1 r
+    d      the variance of the row's noise
 
-A row h that measures component i leaves the entries P_i: at P_i: d / s. They are set to that, and
-not calculated as a difference: a good fix of a pose that was almost lost leaves a covariance that
-is positive definite.
+After a row h that measures component i, the entries P_i: are P_i: d / s. They are set to this
+value instead of being calculated as a difference, so that the covariance stays positive definite
+when a precise fix corrects a pose that was almost unknown.
 """
 
 from typing import NamedTuple
@@ -22,20 +27,23 @@ import numpy as np
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import (
     STATE_OF_ROW,
+    STATES_OF_ROWS,
     BoolArray,
     FloatArray,
     Row,
+    diagonal_of,
 )
 from fnn_ekf_ros.core.covariance import limit_uncertainty
 from fnn_ekf_ros.core.limits import SMALLEST_STD
 from fnn_ekf_ros.core.motion import Motion, MotionModel, move
 from fnn_ekf_ros.core.rows import FIX_ROWS, in_order
 
-_COMPONENTS = np.array(STATE_OF_ROW)
+Others = tuple[tuple[Row, FloatArray], ...]
+"""Rows that are added to another one, each with its coefficient `(F, *batch)`."""
 
 
 class Bank(NamedTuple):
-    """F filters, each of them a Gaussian.
+    """F filters, each a Gaussian.
 
     Attributes:
         mean: `(3, F, *batch)` x (m, m, rad in (-pi, pi]).
@@ -56,8 +64,7 @@ class Noise(NamedTuple):
     Attributes:
         process: `(2, F, *batch)` diagonal of Q (m^2, rad^2).
         measurement: `(4, F, *batch)` diagonal of R, rows as in `Row`.
-        coupling: the coefficients by which the rows of a fix are made uncorrelated, each
-            `(F, *batch)`; None where they are.
+        coupling: coefficients that make the rows of a fix uncorrelated; None if they are.
     """
 
     process: FloatArray
@@ -75,12 +82,14 @@ class Noise(NamedTuple):
 class Coupling(NamedTuple):
     """Inverse of the unit lower triangular factor of a fix's R: y + y_x x, yaw + yaw_y y + yaw_x x.
 
+    All are `(F, *batch)`.
+
     Attributes:
-        y_x: how much of x is added to y.
-        yaw_y: how much of y is added to the yaw (rad/m).
-        yaw_x: how much of x is.
-        y_left: part of y's variance that is left.
-        yaw_left: part of the yaw's.
+        y_x: coefficient of x that is added to y.
+        yaw_y: coefficient of y that is added to the yaw [rad/m].
+        yaw_x: coefficient of x that is added to the yaw [rad/m].
+        y_left: remaining part of y's variance.
+        yaw_left: remaining part of the yaw's variance.
     """
 
     y_x: FloatArray
@@ -89,8 +98,8 @@ class Coupling(NamedTuple):
     y_left: FloatArray
     yaw_left: FloatArray
 
-    def of_row(self, row: Row) -> "tuple[tuple[tuple[Row, FloatArray], ...], FloatArray | float]":
-        """Return which rows are added to one, with how much of each, and what is left of its R."""
+    def of_row(self, row: Row) -> "tuple[Others, FloatArray | float]":
+        """Return the rows that are added to one, with their coefficients, and the rest of its R."""
         if row is Row.Y:
             return ((Row.X, self.y_x),), self.y_left
         if row is Row.LRF_YAW:
@@ -99,7 +108,7 @@ class Coupling(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What is measured at one instant.
+    """The measurements of one instant.
 
     Attributes:
         values: `(4, *batch)` z (m, m, rad, rad), rows as in `Row`; ignored where not available.
@@ -111,27 +120,27 @@ class Readings(NamedTuple):
 
 
 class Innovations(NamedTuple):
-    """What readings say against the predictions of F filters, row by row.
+    """Innovations of readings against the predictions of F filters.
 
     Attributes:
         innovation: `(4, F, *batch)` r (m, m, rad, rad); 0 where not available.
-        variance: `(4, F, *batch)` diagonal of S, of all rows.
+        variance: `(4, F, *batch)` diagonal of S for all rows (m^2, m^2, rad^2, rad^2).
     """
 
     innovation: FloatArray
     variance: FloatArray
 
     def filters(self, which: slice) -> "Innovations":
-        """Return what they say against some of the filters; views."""
+        """Return the innovations against some of the filters; views."""
         return Innovations(self.innovation[:, which], self.variance[:, which])
 
 
 class Correction(NamedTuple):
-    """F filters after a reading.
+    """F filters after readings.
 
     Attributes:
-        bank: all filters; those rows of a fix that are coupled were taken together.
-        nis: `(F, *batch)` normalised innovation squared r' S^-1 r of the rows taken.
+        bank: the filters.
+        nis: `(F, *batch)` normalized innovation squared r' S^-1 r of the rows taken.
         fix_nis: `(F, *batch)` the same of the rows of the fix alone.
         determinant: `(F, *batch)` det S of the rows taken; 1 without any.
     """
@@ -143,7 +152,7 @@ class Correction(NamedTuple):
 
 
 def predict(model: MotionModel, bank: Bank, control: FloatArray, process_noise: FloatArray) -> Bank:
-    """Return the filters after a step of the wheels; headings are not wrapped.
+    """Return the filters after a step of the wheels, with yaws that are not wrapped.
 
     Args:
         model: f(x, u).
@@ -166,24 +175,24 @@ def predict_covariance(
         motion: the step, with A and W.
         process_noise: `(2, ...)` diagonal of Q for this step (m^2, rad^2).
     """
-    P, (forward, turn) = covariance, process_noise
-    by_heading, by_way, by_turn = motion.by_heading, motion.by_way, motion.by_turn
+    P, (distance_variance, rotation_variance) = covariance, process_noise
+    by_heading, by_distance, by_rotation = motion.by_heading, motion.by_distance, motion.by_rotation
     half = (0.5 * P[2, 2]) * by_heading
-    lean = P[:2, 2] + half
-    # x and y: two outer products of the shear by the heading, then the noise of way and turn.
-    shear = by_heading[:, None] * lean[None]
-    by_noise = forward * (by_way[:, None] * by_way[None])
-    by_noise += turn * (by_turn[:, None] * by_turn[None])
+    cross = P[:2, 2] + half
+    # x and y: two outer products of the shear by the heading, then the noise of the wheels.
+    shear = by_heading[:, None] * cross[None]
+    by_noise = distance_variance * (by_distance[:, None] * by_distance[None])
+    by_noise += rotation_variance * (by_rotation[:, None] * by_rotation[None])
     after = np.empty_like(P)
     block = after[:2, :2]
     block[...] = shear + shear.swapaxes(0, 1)
     block += by_noise
     block += P[:2, :2]
-    lean += half
-    lean += turn * by_turn
-    after[:2, 2] = lean
-    after[2, :2] = lean
-    after[2, 2] = P[2, 2] + turn
+    cross += half
+    cross += rotation_variance * by_rotation
+    after[:2, 2] = cross
+    after[2, :2] = cross
+    after[2, 2] = P[2, 2] + rotation_variance
     return after
 
 
@@ -195,11 +204,11 @@ def innovate(bank: Bank, readings: Readings, measurement_noise: FloatArray) -> I
         readings: z.
         measurement_noise: `(4, F, *batch)` diagonal of R.
     """
-    expected = bank.mean[_COMPONENTS]
+    expected = bank.mean[STATES_OF_ROWS]
     r = np.where(readings.available[:, None], readings.values[:, None], expected)
     r -= expected
     r[Row.COMPASS_YAW :] = wrap_angle(r[Row.COMPASS_YAW :])
-    return Innovations(r, bank.covariance[_COMPONENTS, _COMPONENTS] + measurement_noise)
+    return Innovations(r, bank.covariance[STATES_OF_ROWS, STATES_OF_ROWS] + measurement_noise)
 
 
 def correct(bank: Bank, seen: Innovations, noise: Noise, rows: BoolArray) -> Correction:
@@ -207,9 +216,9 @@ def correct(bank: Bank, seen: Innovations, noise: Noise, rows: BoolArray) -> Cor
 
     Args:
         bank: the filters.
-        seen: of the first F of them; the others stay as they are.
-        noise: of these F.
-        rows: `(4, *batch)` which rows they are corrected by.
+        seen: innovations against the first F of them; the others are not changed.
+        noise: of these F filters.
+        rows: `(4, *batch)` rows that they are corrected by.
     """
     count = seen.innovation.shape[1]
     mean, covariance = bank.mean.copy(), bank.covariance.copy()
@@ -220,54 +229,100 @@ def correct(bank: Bank, seen: Innovations, noise: Noise, rows: BoolArray) -> Cor
     for row, some in in_order(rows):
         if row is Row.COMPASS_YAW:
             fix_nis = nis.copy()
-        i, d = STATE_OF_ROW[row], noise.measurement[row]
-        column = P[:, i]
-        e = seen.innovation[row] - x[i]
-        others: tuple[tuple[Row, FloatArray], ...] = ()
-        if noise.coupling is not None:
-            others, part_left = noise.coupling.of_row(row)
-            column, d = column.copy(), d * part_left
-            for other, part in others:
-                j = STATE_OF_ROW[other]
-                column += part * P[:, j]
-                e += part * (seen.innovation[other] - x[j])
-        s = column[i] + d
-        for other, part in others:
-            s += part * column[STATE_OF_ROW[other]]
-        left = d / s
-        root = np.sqrt(s)
-        w = column / root
-        e /= root
-        if some is not None:
-            w, e, s = np.where(some, w, 0.0), np.where(some, e, 0.0), np.where(some, s, 1.0)
-            left = np.where(some, left, 1.0)
-        x += w * e
-        kept = left * column
-        before = P[:, i].copy() if others else kept
-        P -= w[:, None] * w[None]
-        if others:
-            kept = _solved_for(i, kept, others, P)
-            if some is not None:  # where the row is not taken nothing changes, not by rounding
-                kept = np.where(some, kept, before)
-        P[:, i] = kept
-        P[i] = kept
+        e, s = _take_row(x, P, seen.innovation, noise, row, some)
         determinant *= s
         e *= e
         nis += e
     mean[:, :count] += x
-    return Correction(Bank(mean, covariance), nis, fix_nis, determinant)
+    return Correction(
+        bank=Bank(mean, covariance), nis=nis, fix_nis=fix_nis, determinant=determinant
+    )
 
 
-def _solved_for(
-    i: int, product: FloatArray, others: tuple[tuple[Row, FloatArray], ...], P: FloatArray
-) -> FloatArray:
-    """Return the entries P_:i of which P h' is a given product, for a row h of several components.
+def _take_row(
+    x: FloatArray,
+    P: FloatArray,
+    innovation: FloatArray,
+    noise: Noise,
+    row: Row,
+    some: BoolArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Correct F filters by one row, in place.
+
+    Args:
+        x: `(3, F, *batch)` correction of the mean so far (m, m, rad); changed.
+        P: `(3, 3, F, *batch)` covariance after the rows so far; changed.
+        innovation: `(4, F, *batch)` r of the predictions (m, m, rad, rad).
+        noise: of the filters.
+        row: which row.
+        some: `(*batch)` robots whose row is taken; None: all of them.
+
+    Returns:
+        e / sqrt(s) and s, each `(F, *batch)`; 0 and 1 where the row is not taken.
+    """
+    i, d = STATE_OF_ROW[row], noise.measurement[row]
+    column = P[:, i]
+    e = innovation[row] - x[i]
+    others: Others = ()
+    if noise.coupling is not None:
+        others, part_left = noise.coupling.of_row(row)
+        column, d = column.copy(), d * part_left
+        for other, part in others:
+            j = STATE_OF_ROW[other]
+            column += part * P[:, j]
+            e += part * (innovation[other] - x[j])
+    s = column[i] + d
+    for other, part in others:
+        s += part * column[STATE_OF_ROW[other]]
+    left = d / s
+    root = np.sqrt(s)
+    w = column / root
+    e /= root
+    if some is not None:
+        w, e, s = np.where(some, w, 0.0), np.where(some, e, 0.0), np.where(some, s, 1.0)
+        left = np.where(some, left, 1.0)
+    x += w * e
+    _update_covariance(P, i, w, left * column, others, some)
+    return e, s
+
+
+def _update_covariance(
+    P: FloatArray,
+    i: int,
+    w: FloatArray,
+    product: FloatArray,
+    others: Others,
+    some: BoolArray | None,
+) -> None:
+    """Subtract K s K' from covariances, in place.
+
+    Args:
+        P: `(3, 3, F, *batch)` covariance before the row; changed.
+        i: the component whose part of the row h is 1.
+        w: `(3, F, *batch)` K sqrt(s); 0 where the row is not taken.
+        product: `(3, F, *batch)` P h' after the row.
+        others: the rows of the other components, with their parts of h.
+        some: `(*batch)` robots whose row is taken; None: all of them.
+    """
+    entries = product
+    before = P[:, i].copy() if others else product
+    P -= w[:, None] * w[None]
+    if others:
+        entries = _solved_for(i, product, others, P)
+        if some is not None:  # where the row is not taken nothing changes, not even by rounding
+            entries = np.where(some, entries, before)
+    P[:, i] = entries
+    P[i] = entries
+
+
+def _solved_for(i: int, product: FloatArray, others: Others, P: FloatArray) -> FloatArray:
+    """Return the entries P_:i for a given product P h', where the row h has several components.
 
     Args:
         i: the component whose part of h is 1.
         product: `(3, F, *batch)` P h'.
         others: the rows of the other components, with their parts of h.
-        P: `(3, 3, F, *batch)`; its entries that have nothing to do with i are right.
+        P: `(3, 3, F, *batch)`; its entries outside of row and column i are correct.
     """
     entries = product.copy()
     for other, part in others:
@@ -279,7 +334,7 @@ def _solved_for(
 
 
 def wrapped(bank: Bank) -> Bank:
-    """Return the filters with headings in (-pi, pi]; of a bank that nobody else holds."""
+    """Return the filters with yaws in (-pi, pi]; the bank is changed in place."""
     bank.mean[2] = wrap_angle(bank.mean[2])
     return bank
 
@@ -290,14 +345,14 @@ def noise_of_readings(
     fix_covariance: FloatArray | None,
     available: BoolArray,
 ) -> Noise:
-    """Return the noise that readings are taken with: the filters' own, or what a fix reported.
+    """Return the noise with which readings are taken: the filters' own R, or that of a fix.
 
-    What a fix reports is multiplied, row by row, by what R in use is to the reference. No scale
-    makes a report better than `SMALLEST_STD`, as no report is.
+    The covariance that a fix reports is multiplied, row by row, by the ratio of R in use to the
+    configured one. No standard deviation becomes less than `SMALLEST_STD`.
 
     Args:
         noise: of the filters.
-        reference: diagonal of R that reports are scaled against.
+        reference: configured diagonal of R, rows as in `Row` (m^2, m^2, rad^2, rad^2).
         fix_covariance: `(3, 3, *batch)` R of `FIX_ROWS` as reported; None: the filters' own.
         available: `(4, *batch)` which rows are measured.
     """
@@ -306,28 +361,36 @@ def noise_of_readings(
     rows = list(FIX_ROWS)
     measured = available[rows]
     reported = np.where(measured[:, None] & measured[None], fix_covariance, 0.0)
-    variance = np.where(measured, reported[[0, 1, 2], [0, 1, 2]], 1.0)
+    variance = np.where(measured, diagonal_of(reported), 1.0)
     std = np.sqrt(variance)
     own = noise.measurement[rows]
     known = np.array(reference)[rows].reshape(-1, *(1,) * (own.ndim - 1))
     scale = np.maximum(np.sqrt(own / known), (SMALLEST_STD / std)[:, None])
 
+    taken = noise.measurement.copy()
+    taken[rows] = np.where(measured[:, None], scale * scale * variance[:, None], own)
+    return Noise(noise.process, taken, _coupling(reported, variance, scale))
+
+
+def _coupling(reported: FloatArray, variance: FloatArray, scale: FloatArray) -> Coupling:
+    """Return the coefficients that make the rows of a fix uncorrelated.
+
+    Args:
+        reported: `(3, 3, *batch)` R of `FIX_ROWS` as the fix reported it; 0 where not measured.
+        variance: `(3, *batch)` its diagonal; 1 where not measured.
+        scale: `(3, F, *batch)` factor on the reported standard deviations, for each filter.
+    """
+    # L^-1 of reported = L D L', where L is unit lower triangular.
     y_x = -reported[1, 0] / variance[0]
     across = reported[2, 1] + y_x * reported[2, 0]
     yaw_y = -across / (variance[1] + y_x * reported[1, 0])
     yaw_x = -reported[2, 0] / variance[0] + yaw_y * y_x
     y_left = 1.0 + y_x * reported[1, 0] / variance[1]
     yaw_left = 1.0 + (yaw_y * reported[2, 1] + yaw_x * reported[2, 0]) / variance[2]
-    taken = noise.measurement.copy()
-    taken[rows] = np.where(measured[:, None], scale * scale * variance[:, None], own)
-    return Noise(
-        noise.process,
-        taken,
-        Coupling(
-            y_x * (scale[1] / scale[0]),
-            yaw_y * (scale[2] / scale[1]),
-            yaw_x * (scale[2] / scale[0]),
-            np.broadcast_to(y_left, scale.shape[1:]),
-            np.broadcast_to(yaw_left, scale.shape[1:]),
-        ),
+    return Coupling(
+        y_x=y_x * (scale[1] / scale[0]),
+        yaw_y=yaw_y * (scale[2] / scale[1]),
+        yaw_x=yaw_x * (scale[2] / scale[0]),
+        y_left=np.broadcast_to(y_left, scale.shape[1:]),
+        yaw_left=np.broadcast_to(yaw_left, scale.shape[1:]),
     )

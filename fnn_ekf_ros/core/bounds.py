@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The limits of adapted noise."""
 
 from dataclasses import dataclass
@@ -10,13 +13,13 @@ from fnn_ekf_ros.core.arrays import Constant, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class NoiseBounds:
-    """What no adaptation can leave: variances, all more than 0.
+    """Limits of adapted noise as variances, all more than 0.
 
     Attributes:
-        process_min: smallest (Q forward, Q heading) (m^2, rad^2).
-        process_max: largest.
-        measurement_min: smallest R diagonal, rows as in `Row` (m^2, m^2, rad^2, rad^2).
-        measurement_max: largest.
+        process_min: smallest diagonal of Q, distance and rotation (m^2, rad^2).
+        process_max: largest diagonal of Q.
+        measurement_min: smallest diagonal of R, rows as in `Row` (m^2, m^2, rad^2, rad^2).
+        measurement_max: largest diagonal of R.
     """
 
     process_min: tuple[float, float]
@@ -25,7 +28,7 @@ class NoiseBounds:
     measurement_max: tuple[float, float, float, float]
 
     def within(self, Q: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return Q `(2, ...)` and R `(4, ...)` held to the limits."""
+        """Return Q `(2, ...)` and R `(4, ...)` clipped to the limits."""
         low_Q, high_Q, low_R, high_R = _limits(self)
         n = Q.ndim - 1
         return (

@@ -1,10 +1,13 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The chi-square distribution for whole degrees of freedom, in closed form."""
 
 import math
 
 
 def upper_tail(value: float, degrees_of_freedom: int) -> float:
-    """Return the chance that a chi-square variable exceeds a value.
+    """Return the probability that a chi-square variable exceeds a value.
 
     From Q(x; n + 2) = Q(x; n) + (x/2)^(n/2) e^(-x/2) / Gamma(n/2 + 1), with
     Q(x; 1) = erfc(sqrt(x/2)) and Q(x; 2) = e^(-x/2) (Abramowitz and Stegun 1964, 26.4.4-8).
@@ -19,18 +22,18 @@ def upper_tail(value: float, degrees_of_freedom: int) -> float:
     return tail
 
 
-def exceeded_with(chance: float, degrees_of_freedom: int) -> float:
-    """Return the value that a chi-square variable exceeds with a chance; infinite for 0."""
-    if chance <= 0.0:
+def exceeded_with(probability: float, degrees_of_freedom: int) -> float:
+    """Return the value that a chi-square variable exceeds with a probability; infinite for 0."""
+    if probability <= 0.0:
         return math.inf
     low, high = 0.0, 1.0
-    while upper_tail(high, degrees_of_freedom) > chance:
+    while upper_tail(high, degrees_of_freedom) > probability:
         low, high = high, 2.0 * high
     while high - low > 1e-12 * high:
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
-        if upper_tail(middle, degrees_of_freedom) > chance:
+        if upper_tail(middle, degrees_of_freedom) > probability:
             low = middle
         else:
             high = middle

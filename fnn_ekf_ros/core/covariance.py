@@ -1,4 +1,7 @@
-"""What makes a covariance one that can be used."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Checks and limits of covariances."""
 
 import numpy as np
 
@@ -12,18 +15,20 @@ from fnn_ekf_ros.core.limits import (
 )
 
 _ASYMMETRY = 1e-6
+"""Largest difference of two mirrored entries of a correlation: more than rounding leaves."""
 _LARGEST = Constant(LARGEST_POSE_STD)
 _VAGUE = Constant([(0.1 * std) ** 2 for std in LARGEST_POSE_STD])
+"""Variances from which on `limit_uncertainty` acts (m^2, m^2, rad^2)."""
 
 
 def usable_covariance(matrix: FloatArray) -> FloatArray | None:
-    """Return a covariance `(n, n)` from outside made exactly symmetric; None if it is none.
+    """Return a covariance `(n, n)` from outside, made exactly symmetric; None if it is invalid.
 
-    It must be finite, symmetric but for rounding, with standard deviations from `SMALLEST_STD`
-    to `LARGEST_STD`, and positive definite by a margin, whatever the units of its entries.
+    It must be finite, symmetric except for rounding, with standard deviations from `SMALLEST_STD`
+    to `LARGEST_STD`, and positive definite by a margin that does not depend on units.
     """
     variances = np.diagonal(matrix)
-    # No covariance is larger than the largest variance; beyond it the division would overflow.
+    # No entry may exceed the largest variance; larger ones would make the division overflow.
     if not np.all(np.abs(matrix) <= LARGEST_STD**2) or not np.all(variances >= SMALLEST_STD**2):
         return None
     std = np.sqrt(variances)
@@ -36,11 +41,11 @@ def usable_covariance(matrix: FloatArray) -> FloatArray | None:
 
 
 def limit_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return covariances `(3, 3, ...)` scaled back where a pose is as good as lost.
+    """Return covariances `(3, 3, ...)` reduced to standard deviations of `LARGEST_POSE_STD`.
 
-    Beyond `LARGEST_POSE_STD` a fix that is good to a tenth of a millimetre would no longer
-    leave a positive definite covariance in double precision. Correlations are kept but for
-    `CORRELATION_MARGIN`, and that from a tenth of it on only.
+    With larger ones, a fix with a standard deviation of 0.1 mm would not leave a positive definite
+    covariance in double precision. Correlations are kept; from a tenth of `LARGEST_POSE_STD` on
+    they are reduced by `CORRELATION_MARGIN`.
     """
     size = STATE_SIZE
     variances = covariance.reshape(size * size, *covariance.shape[2:])[:: size + 1]

@@ -1,21 +1,25 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The filter's step, in the paper's order.
 
-`fuse` takes a filter from one instant at which something was measured to the next: predict by the
-wheels, innovate, judge, correct, learn. `step` takes it over a period, which is as many instants as
-there were readings, and ends at the period's boundary; there the paper's modes adapt the noise.
-A `FilterState` is never changed, so keeping an old one is all it takes to go back in time.
+`fuse` takes a filter from one instant with readings to the next: predict by the wheels, innovate,
+gate, correct, learn. `step` takes it over a period with any number of such instants, up to the
+period's end, where the paper's modes adapt the noise. A `FilterState` is never changed: an old
+state that was kept is enough to repeat the steps after it.
 
 Every array has its components first and may have batch dimensions last: a mean is `(3, *batch)`.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.adaptation import Scales, adapt
+from fnn_ekf_ros.core.adaptation import Adapted, Scales, adapt
 from fnn_ekf_ros.core.arrays import (
     MEASUREMENT_SIZE,
-    STATE_OF_ROW,
+    STATES_OF_ROWS,
     BoolArray,
     Constant,
     FloatArray,
@@ -30,27 +34,19 @@ from fnn_ekf_ros.core.bank import (
     predict,
     wrapped,
 )
-from fnn_ekf_ros.core.candidate import follow_candidate, with_candidate
 from fnn_ekf_ros.core.evidence import log_likelihood
 from fnn_ekf_ros.core.gate import (
+    GateDecision,
     GateState,
-    Verdict,
-    after_verdict,
+    after_decision,
     judge,
     rows_of,
     teaching,
 )
 from fnn_ekf_ros.core.instant import Instant
-from fnn_ekf_ros.core.joint import (
-    Learned,
-    Lesson,
-    fading,
-    learn,
-    noise_in_use,
-    report,
-    stepped,
-)
+from fnn_ekf_ros.core.joint import Lesson, learn
 from fnn_ekf_ros.core.joint_filters import FORECASTS, step_forecasts
+from fnn_ekf_ros.core.joint_state import JointReport, Learned, fading, noise_in_use, report, stepped
 from fnn_ekf_ros.core.pace import (
     NOMINAL_PERIOD_S,
     after_readings,
@@ -58,7 +54,8 @@ from fnn_ekf_ros.core.pace import (
     later,
     scored_rows,
 )
-from fnn_ekf_ros.core.relocation import Followed, nis_by_sensor
+from fnn_ekf_ros.core.relocation import HypothesisUpdate, nis_by_sensor
+from fnn_ekf_ros.core.relocation_filter import follow_hypothesis, with_hypothesis
 from fnn_ekf_ros.core.results import (
     Epoch,
     Shown,
@@ -70,23 +67,13 @@ from fnn_ekf_ros.core.rows import FIX_ROWS, Rows, rows_where
 from fnn_ekf_ros.core.state import (
     JOINT,
     PUBLISHED,
+    PUBLISHED_INDEX,
     FilterModel,
     FilterState,
     with_noise,
 )
 from fnn_ekf_ros.core.suspect_filters import suspects_after
 from fnn_ekf_ros.core.window import push
-
-__all__ = [
-    "NOMINAL_PERIOD_S",
-    "Epoch",
-    "FilterModel",
-    "FilterState",
-    "Shown",
-    "StepResult",
-    "fuse",
-    "step",
-]
 
 _ONES = Constant([1.0] * MEASUREMENT_SIZE)
 
@@ -98,18 +85,27 @@ def step(
 
     Args:
         model: the filter.
-        state: its state at the period's begin; not changed.
-        epochs: which the period consists of, one at least.
+        state: its state at the start of the period; not changed.
+        epochs: of the period, at least one.
 
     Returns:
-        The state at the period's end, and what the period showed.
+        The state at the period's end, and the results of the period.
     """
     begin, shown = state, []
     for epoch in epochs:
         state, seen = fuse(model, state, epoch)
         if seen is not None:
             shown.append(seen)
-    last = last_of_each_row(shown) if shown else _nothing(begin, state)
+    last = last_of_each_row(shown) if shown else _without_readings(begin, state)
+    state, adapted = _adapt_by_mismatch(model, state, last)
+    joint = None if state.joint is None else report(state.joint, last.learned)
+    return state, _step_result(last, adapted, joint, tuple(shown))
+
+
+def _adapt_by_mismatch(
+    model: FilterModel, state: FilterState, last: Shown
+) -> tuple[FilterState, Adapted]:
+    """Adapt the noise by the paper's modes at a period's end, from the last reading of each row."""
     teaches = last.teaches & ~last.relocated
     window = push(state.window, last.innovation, teaches)
     adapted = adapt(
@@ -125,8 +121,14 @@ def step(
     state = state._replace(window=window)
     if model.adaptation.moves_by_mismatch:
         state = with_noise(model, state, adapted.process_noise, adapted.measurement_noise)
-    joint = None if state.joint is None else report(state.joint, last.learned)
-    return state, StepResult(
+    return state, adapted
+
+
+def _step_result(
+    last: Shown, adapted: Adapted, joint: JointReport | None, shown: tuple[Shown, ...]
+) -> StepResult:
+    """Return the results of a period."""
+    return StepResult(
         innovation=last.innovation,
         innovation_variance=last.innovation_variance,
         available=last.available,
@@ -140,13 +142,13 @@ def step(
         sensor_degrees_of_freedom=last.sensor_degrees_of_freedom,
         rejected=last.rejected,
         relocated=last.relocated,
-        shown=tuple(shown),
+        shown=shown,
     )
 
 
-def _nothing(begin: FilterState, end: FilterState) -> Shown:
-    """Return what a period without readings shows."""
-    variance = end.covariance[list(STATE_OF_ROW), list(STATE_OF_ROW)]
+def _without_readings(begin: FilterState, end: FilterState) -> Shown:
+    """Return the results of a period without readings."""
+    variance = end.covariance[STATES_OF_ROWS, STATES_OF_ROWS]
     return nothing_shown(end.mean[2], variance + begin.measurement_noise)
 
 
@@ -156,10 +158,10 @@ def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterSt
     Args:
         model: the filter.
         state: its state at the instant before; not changed.
-        epoch: the time until then, and what was measured at its end.
+        epoch: the step of the wheels, and the readings at its end.
 
     Returns:
-        The state after the readings, and what these showed; None without any.
+        The state after the readings, and their results; None without readings.
     """
     elapsed = epoch.duration_s / NOMINAL_PERIOD_S
     Q = elapsed * state.noise.process
@@ -170,44 +172,66 @@ def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterSt
         return _alarm_faded(model, state._replace(bank=wrapped(predicted))), None
 
     instant = _instant(model, state, epoch, predicted, rows)
-    verdict = judge(
-        model.gate, state.gate, nis_by_sensor(instant.seen, instant.taken, 0), rows.of_sensor
-    )
-    corrected, teaches = instant.taken.bank, epoch.available
-    followed = None
-    rejects = bool(verdict.rejected.any())
-    if rejects:
-        accepted = epoch.available & ~rows_of(verdict.rejected)
-        corrected = instant.corrected_by(accepted, slice(0, model.layout.suspects.start)).bank
-    if rejects or state.has_candidate(model):
-        followed = follow_candidate(model, state, instant, verdict, corrected)
-        explains = followed.relocation.explains
-        teaches = epoch.available & rows_of(teaching(state.gate, verdict, explains))
+    gated = _pass_gate(model, state, instant)
     scored = scored_rows(state.pace, rows)
     steps = is_step(state.pace, scored)
-    bank, lead = _corrected_bank(model, state, instant, corrected, scored)
+    bank, lead = _corrected_bank(model, state, instant, gated.corrected, scored)
     learned = None
     if state.joint is not None:
-        state, learned = _learn(model, state, instant, bank, teaches, scored, steps)
+        state, learned = _learn(model, state, instant, bank, gated.teaches, scored, steps)
     state = state._replace(
         bank=wrapped(bank),
-        gate=_gate_after(model, state, verdict, followed),
+        gate=_gate_after(model, state, gated),
         lead=lead,
         pace=after_readings(state.pace, rows, scored, steps),
     )
-    if followed is not None:
-        state = with_candidate(model, state, followed)
+    if gated.relocation is not None:
+        state = with_hypothesis(model, state, gated.relocation)
     if learned is not None and state.joint is not None:
         state = with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
     else:
         state = _alarm_faded(model, state)
-    return state, _shown(model, epoch, instant, verdict, teaches, followed, learned)
+    return state, _shown(model, epoch, instant, gated, learned)
+
+
+class _Gated(NamedTuple):
+    """The readings of an instant after the gate.
+
+    Attributes:
+        decision: which sensors' readings are rejected.
+        corrected: the filters corrected by the accepted rows; at least the published filter and
+            those of joint adaptation.
+        teaches: `(4, *batch)` rows that the noise may be learned from.
+        relocation: the relocation hypothesis after the readings; None without one.
+    """
+
+    decision: GateDecision
+    corrected: Bank
+    teaches: BoolArray
+    relocation: HypothesisUpdate | None
+
+
+def _pass_gate(model: FilterModel, state: FilterState, instant: Instant) -> _Gated:
+    """Gate the readings of an instant, and compare rejected ones with the relocation hypothesis."""
+    available = instant.readings.available
+    nis = nis_by_sensor(instant.seen, instant.taken, PUBLISHED_INDEX)
+    decision = judge(model.gate, state.gate, nis, instant.rows.of_sensor)
+    corrected, teaches = instant.taken.bank, available
+    relocation = None
+    rejects = bool(decision.rejected.any())
+    if rejects:
+        accepted = available & ~rows_of(decision.rejected)
+        corrected = instant.corrected_by(accepted, slice(0, model.layout.suspects.start)).bank
+    if rejects or state.has_relocation_hypothesis(model):
+        relocation = follow_hypothesis(model, state, instant, decision, corrected)
+        teaches = available & rows_of(teaching(state.gate, decision, relocation.explains))
+    return _Gated(decision=decision, corrected=corrected, teaches=teaches, relocation=relocation)
 
 
 def _instant(
     model: FilterModel, state: FilterState, epoch: Epoch, predicted: Bank, rows: Rows
 ) -> Instant:
-    """Return an instant with readings, whose filters are predicted to it."""
+    """Return the instant at the end of an epoch with readings."""
     readings = Readings(epoch.measurement, epoch.available)
     compared = model.layout.compared
     noise = noise_of_readings(
@@ -218,57 +242,60 @@ def _instant(
     )
     seen = innovate(predicted.filters(compared), readings, noise.measurement)
     taken = correct(predicted, seen, noise, epoch.available)
-    return Instant(predicted, readings, rows, noise, seen, taken, epoch.fix_covariance)
+    return Instant(
+        predicted=predicted,
+        readings=readings,
+        rows=rows,
+        noise=noise,
+        seen=seen,
+        taken=taken,
+        fix_covariance=epoch.fix_covariance,
+    )
 
 
 def _shown(
-    model: FilterModel,
-    epoch: Epoch,
-    instant: Instant,
-    verdict: Verdict,
-    teaches: BoolArray,
-    followed: Followed | None,
-    learned: Learned | None,
+    model: FilterModel, epoch: Epoch, instant: Instant, gated: _Gated, learned: Learned | None
 ) -> Shown:
-    """Return what an instant showed."""
-    nobody = np.zeros(instant.rows.total.shape, dtype=np.bool_)
+    """Return the results of an instant."""
+    decision, relocation = gated.decision, gated.relocation
+    nowhere = np.zeros(instant.rows.total.shape, dtype=np.bool_)
     return Shown(
-        innovation=instant.seen.innovation[:, 0],
-        innovation_variance=instant.seen.variance[:, 0],
+        innovation=instant.seen.innovation[:, PUBLISHED_INDEX],
+        innovation_variance=instant.seen.variance[:, PUBLISHED_INDEX],
         available=epoch.available,
-        teaches=teaches,
-        heading=instant.predicted.mean[2, 0],
+        teaches=gated.teaches,
+        heading=instant.predicted.mean[2, PUBLISHED_INDEX],
         reported_scale=_reported_scale(model, epoch),
-        nis=instant.taken.nis[0],
+        nis=instant.taken.nis[PUBLISHED_INDEX],
         degrees_of_freedom=instant.rows.total,
-        sensor_nis=verdict.nis,
+        sensor_nis=decision.nis,
         sensor_degrees_of_freedom=instant.rows.of_sensor,
-        rejected=verdict.rejected,
-        relocated=nobody if followed is None else followed.relocation.confirmed,
+        rejected=decision.rejected,
+        relocated=nowhere if relocation is None else relocation.confirmed,
         learned=learned,
     )
 
 
 def _later(model: FilterModel, state: FilterState, epoch: Epoch, elapsed: float) -> FilterState:
-    """Return the state with its clocks at the next instant."""
-    joint, candidate = state.joint, state.candidate
+    """Return the state with all times advanced to the next instant."""
+    joint, hypothesis = state.joint, state.relocation_hypothesis
     if joint is not None:
         joint = fading(joint, epoch.control, elapsed)
-    if state.has_candidate(model):
-        candidate = candidate._replace(age_s=candidate.age_s + epoch.duration_s)
-    return state._replace(joint=joint, candidate=candidate, pace=later(state.pace, elapsed))
+    if state.has_relocation_hypothesis(model):
+        hypothesis = hypothesis._replace(age_s=hypothesis.age_s + epoch.duration_s)
+    pace = later(state.pace, elapsed)
+    return state._replace(joint=joint, relocation_hypothesis=hypothesis, pace=pace)
 
 
-def _gate_after(
-    model: FilterModel, state: FilterState, verdict: Verdict, followed: Followed | None
-) -> GateState:
-    """Return what the gate remembers; one that rejects nothing need not remember anything."""
+def _gate_after(model: FilterModel, state: FilterState, gated: _Gated) -> GateState:
+    """Return the gate's memory after the readings; an open gate needs none."""
     if model.gate.is_open:
         return state.gate
-    return after_verdict(
+    decision, relocation = gated.decision, gated.relocation
+    return after_decision(
         state.gate,
-        verdict,
-        verdict.rejected if followed is None else followed.relocation.agrees,
+        decision,
+        decision.rejected if relocation is None else relocation.agrees,
         state.pace.sensors,
         learns=model.adaptation.learns_measurement_noise,
     )
@@ -277,14 +304,14 @@ def _gate_after(
 def _corrected_bank(
     model: FilterModel, state: FilterState, instant: Instant, corrected: Bank, scored: Rows
 ) -> tuple[Bank, FloatArray]:
-    """Return all filters but a candidate's after the readings, and the suspects' leads.
+    """Return the bank after the readings, without the relocation hypothesis, and suspects' leads.
 
     Args:
         model: the filter.
         state: before the readings.
-        instant: these.
-        corrected: the published filter and those of joint adaptation, at least, after them.
-        scored: which rows are scored.
+        instant: the readings.
+        corrected: at least the published filter and those of joint adaptation, after the readings.
+        scored: rows that are scored.
     """
     bank, which = instant.taken.bank.filters(model.layout.steady), model.layout.suspects
     if corrected is not instant.taken.bank:
@@ -307,15 +334,15 @@ def _learn(
     scored: Rows,
     steps: BoolArray,
 ) -> tuple[FilterState, Learned | None]:
-    """Learn from readings that are scored, and take the forecasts on in the bank.
+    """Learn from scored readings, and step the forecasts in the bank.
 
     Args:
         model: the filter.
         state: before the readings, of mode joint.
         instant: the readings.
         bank: all filters after the readings; its forecasts are replaced.
-        teaches: `(4, *batch)` which rows the noise may be learned from.
-        scored: which rows are scored.
+        teaches: `(4, *batch)` rows that the noise may be learned from.
+        scored: rows that are scored.
         steps: `(*batch)` whether these are a step of the forecasts.
     """
     joint = state.joint
@@ -332,7 +359,12 @@ def _learn(
         likelihood = log_likelihood(shown.nis[which], shown.determinant[which], taught.total)
         seen = instant.seen.filters(JOINT)
         lesson = Lesson(
-            seen.innovation, seen.variance, likelihood, taught, scored, state.pace.scored
+            innovation=seen.innovation,
+            variance=seen.variance,
+            likelihood=likelihood,
+            taught=taught,
+            scored=scored,
+            since_scored=state.pace.scored,
         )
         adaptation = model.adaptation
         sets = adaptation.networks.joint.sets
@@ -340,19 +372,19 @@ def _learn(
         steps = steps & taught.some
         step_forecasts(of_joint, bank.filters(model.layout.newer_forecasts), steps)
         joint = stepped(learned.state, steps)
-    joint = joint._replace(way=np.where(scored.some, 0.0, joint.way))
-    return state._replace(joint=joint), learned
+    control = np.where(scored.some, 0.0, joint.control_since_scored)
+    return state._replace(joint=joint._replace(control_since_scored=control)), learned
 
 
 def _alarm_faded(model: FilterModel, state: FilterState) -> FilterState:
-    """Return the state with the noise in use of an alarm that fades."""
+    """Return the state with the noise in use after alarms have faded; unchanged without alarms."""
     if state.joint is None or not (state.joint.lead > 0.0).any():
         return state
     return with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
 
 
 def _reported_scale(model: FilterModel, epoch: Epoch) -> FloatArray:
-    """Return by how much the R in use moves when the filter's own R moves by one."""
+    """Return the change of R in use per change of the filter's own R, `(4, *batch)`."""
     if epoch.fix_covariance is None:
         return _ONES.behind(epoch.available.ndim - 1)
     scale = np.ones(epoch.available.shape)

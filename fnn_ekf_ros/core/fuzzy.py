@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fuzzy neural network from mismatch to noise change (Nguyen et al., eqs. 17-24).
 
 Input is the mismatch D = S - C_hat of one axis, output the change dR of its noise variance, both
@@ -14,9 +17,9 @@ paper prints them, P falls and N rises with its argument: the printed pair fits 
 x = C_hat - S = -D, and that is what the sets are evaluated at here.
 
 A sigmoid antecedent into a sigmoid consequent is exactly linear, I^-1(N(x)) = b_I + (a_N/a_I)
-(x - b_N). The closed form is used because the literal logarithm overflows far from the centre.
-M^-1 has two values; the branch M^-1(Z(x)) = c_M + (sigma_M/sigma_Z) (x - c_Z) makes all three
-rules linear. A consequent of slope 0 (the initial D) has no inverse; its centre is taken.
+(x - b_N). This closed form is used because the logarithm of the paper's form overflows far from the
+center. M^-1 has two values; the branch M^-1(Z(x)) = c_M + (sigma_M/sigma_Z) (x - c_Z) makes all
+three rules linear. A consequent of slope 0 (the initial D) has no inverse; its center is taken.
 """
 
 from functools import lru_cache
@@ -27,7 +30,8 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import Constant, FloatArray
 
 _FAR = 1e100
-"""A Gaussian's tail beyond so many widths is as good as this far; its square does not overflow."""
+"""Largest distance from a Gaussian's center that is distinguished [widths]: its square does not
+overflow."""
 
 
 class FuzzySets(NamedTuple):
@@ -63,7 +67,7 @@ class FuzzySets(NamedTuple):
 
 
 class Inference(NamedTuple):
-    """What the network concluded; the first axis counts the rules I, M, D.
+    """The output of the network; the first axis is that of the rules I, M, D.
 
     Attributes:
         change: `(...)` dR in the sets' unit.
@@ -99,15 +103,20 @@ def infer(sets: FuzzySets, mismatch: FloatArray) -> Inference:
     """
     x = -mismatch
     log_alpha = _log_firing(sets, x)
-    # Normalised in logarithms: where every set is far away the nearest one still decides.
+    # Normalized in logarithms: far from all sets, the nearest one decides.
     beta = np.exp(log_alpha - log_alpha.max(axis=0))
     beta /= beta.sum(axis=0)
     z = _consequents(sets, x)
-    return Inference((beta * z).sum(axis=0), np.exp(log_alpha), beta, z)
+    return Inference(
+        change=(beta * z).sum(axis=0),
+        firing_strength=np.exp(log_alpha),
+        normalized_firing=beta,
+        consequent=z,
+    )
 
 
 def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
-    """Return the derivative of the network's output by each of its parameters (for eq. 24).
+    """Return the derivatives of the network's output with respect to its parameters (for eq. 24).
 
         d dR/dp = sum_k beta_k ( (z_k - dR) dln(alpha_k)/dp + dz_k/dp )
 
@@ -116,8 +125,8 @@ def infer_gradient(sets: FuzzySets, mismatch: FloatArray) -> FloatArray:
         mismatch: `(...)` D in the sets' unit.
 
     Returns:
-        `(12, ...)`, in the order of `FuzzySets`. Where D is crisp (slope 0) the derivative by
-        its slope is 0: there is no inverse to differentiate.
+        `(12, ...)`, in the order of `FuzzySets`. Where D is crisp (slope 0) the derivative with
+        respect to its slope is 0: there is no inverse to differentiate.
     """
     x = -mismatch
     s = sets
@@ -164,8 +173,8 @@ def infer_centroid(
     Args:
         sets: the membership functions.
         mismatch: `(...)` D in the sets' unit.
-        change_limit: half width of the universe of dR [the sets' unit]; the paper does not
-            print it, and sigmoid consequents have no centroid without one.
+        change_limit: half width of the universe of dR [the sets' unit]; the paper does not give
+            it, and sigmoid consequents have no centroid without one.
         points: samples of the universe.
     """
     alpha = np.exp(_log_firing(sets, -mismatch))
@@ -188,7 +197,9 @@ def infer_centroid(
     consequent = _weighted_mean(z, clipped)
     total = np.sum(alpha, axis=0)
     beta = np.where(total > 0.0, alpha, 1.0) / np.where(total > 0.0, total, len(alpha))
-    return Inference(change, alpha, beta, consequent)
+    return Inference(
+        change=change, firing_strength=alpha, normalized_firing=beta, consequent=consequent
+    )
 
 
 def _weighted_mean(z: FloatArray, weight: FloatArray) -> FloatArray:
@@ -224,7 +235,7 @@ def _consequents(sets: FuzzySets, x: FloatArray) -> FloatArray:
 
 
 class _Linear(NamedTuple):
-    """The sets as arrays by rule: two sigmoids N and P, and z = level + slope (x - origin)."""
+    """The sets as arrays: sigmoids N and P, and z = level + slope (x - origin) of each rule."""
 
     steepness: Constant
     center: Constant
@@ -237,15 +248,15 @@ class _Linear(NamedTuple):
 def _linear(sets: FuzzySets) -> _Linear:
     crisp = sets.decrease_slope == 0.0
     return _Linear(
-        Constant([sets.negative_slope, sets.positive_slope]),
-        Constant([sets.negative_center, sets.positive_center]),
-        Constant(
+        steepness=Constant([sets.negative_slope, sets.positive_slope]),
+        center=Constant([sets.negative_center, sets.positive_center]),
+        slope=Constant(
             [
                 sets.negative_slope / sets.increase_slope,
                 sets.maintain_width / sets.zero_width,
                 0.0 if crisp else sets.positive_slope / sets.decrease_slope,
             ]
         ),
-        Constant([sets.negative_center, sets.zero_center, sets.positive_center]),
-        Constant([sets.increase_center, sets.maintain_center, sets.decrease_center]),
+        origin=Constant([sets.negative_center, sets.zero_center, sets.positive_center]),
+        level=Constant([sets.increase_center, sets.maintain_center, sets.decrease_center]),
     )

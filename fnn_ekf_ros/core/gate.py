@@ -1,21 +1,27 @@
-"""The gate: readings that cannot be are kept from the filter, sensor by sensor.
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
 
-A reading is rejected if its normalised innovation squared NIS = r' S^-1 r exceeds what a right
-one exceeds with a small chance, times the sensor's *spread*. Nothing can be locked out:
+"""The gate: it keeps outliers from the filter, separately for each sensor.
 
-    spread      s <- max(1, 0.7 s + 0.3 NIS/n) with a reading that is accepted,
-                s <- 1.65 s with one that is rejected and that agrees with none before it;
-                a sensor faster than the nominal period gets there in the same time
-    learning    where R is learned, readings that are rejected and agree with nothing teach, too,
-                that it was too small; the spread stays smaller there, or together they would
-                take a fix in millimeters for one in meters
-    relocation  readings that are rejected but agree with each other are another place
-                (`relocation`): the pose moves there after some seconds
+A reading of n rows is rejected if its normalized innovation squared NIS = r' S^-1 r exceeds the
+threshold x(n) times the sensor's *spread* s. A correct reading exceeds x(n) with a small, given
+probability. Three mechanisms keep the gate from rejecting a sensor forever:
 
-A reading that is rejected teaches the adaptation nothing, unless the one before it or several of
-late were rejected, too, and no other place of the robot explains it: that is noise, and noise is
-to be learned. So a single outlier has exactly the effect of a missing reading, except on which
-compass readings are scored (`pace`) and, in mode joint, on how fast what was learned fades.
+    spread      s <- max(1, 0.7 s + 0.3 NIS/n)    after an accepted reading,
+                s <- 1.65 s                       after a rejected reading that does not agree
+                                                  with the rejected readings before it;
+                readings less than a nominal period apart change s by less, so that a fast
+                sensor's gate opens and closes in the same time as a slow one's
+    learning    Where R is adapted, it is learned also from rejected readings that agree with no
+                other pose. There the limit of the spread is lower: with a high one, R would be
+                adapted to fixes in millimeters instead of meters.
+    relocation  Rejected readings that agree with each other show another pose (`relocation`); the
+                pose is moved there after some seconds.
+
+The noise is learned from a rejected reading only if the reading before it, or several recent ones,
+were rejected, too, and no other pose explains it: then the assumed noise is too small. So a single
+outlier has the same effect as a missing reading, except on which compass readings are scored
+(`pace`) and, in mode joint, on how fast what was learned fades.
 """
 
 import math
@@ -29,32 +35,38 @@ from fnn_ekf_ros.core.chi_square import exceeded_with
 from fnn_ekf_ros.core.rows import LRF_POSE, SENSOR_COUNT, SENSOR_OF_ROW
 
 SPREAD_MEMORY = 0.7
-"""Part of the spread that an accepted reading of a slow sensor leaves."""
+"""Factor on the spread per accepted reading that comes a nominal period or more after the last:
+the spread decays faster than one outlier in three readings widens it."""
 SPREAD_GROWTH = 1.65
-"""With e^(1/2) a rejected reading, a gate that is too tight by 25 in variance opens after six."""
+"""Factor on the spread per rejected reading, about e^(1/2): a gate that is too tight by a factor of
+25 in variance opens after six rejections."""
 
 LARGEST_SPREAD = 1e5
-"""Noise is never told too small by more than 300 in std: a fix in millimeters stays rejected."""
+"""Largest spread where R is not adapted. The configured noise may be too small by a factor of 300
+in standard deviation; fixes in millimeters instead of meters stay rejected."""
 LARGEST_SPREAD_LEARNING = 100.0
-"""Where R is learned; 10 in std are bridged at once, what is more is learned."""
+"""Largest spread where R is adapted: the gate bridges a factor of 10 in standard deviation, the
+adaptation of R the rest."""
 SHARE_MEMORY = 0.9
-"""Part of the share of rejected readings that is remembered from one to the next."""
+"""Factor on the share of rejected readings per reading; the share covers about ten readings."""
 NOISY_SHARE = 0.095
-"""A share that the reading before leaves, or several lately: a rejected one is noise then."""
+"""Share of rejected readings from which on the noise is learned from rejected ones. A rejection of
+the reading before leaves 0.1; a single one before that leaves 0.09, which is not enough."""
 
 
 class Gate(NamedTuple):
-    """How wild a reading must be to be rejected.
+    """The NIS from which on readings are rejected.
 
     Attributes:
-        thresholds: for each sensor the largest NIS by its number of rows, 0 to 3.
+        thresholds: x(n) of each sensor (compass, fixes), for n = 0 to 3 rows; infinite: none is
+            rejected.
     """
 
     thresholds: tuple[tuple[float, ...], tuple[float, ...]]
 
     @property
     def is_open(self) -> bool:
-        """Whether it rejects nothing."""
+        """Whether no reading is ever rejected."""
         return _rejects_nothing(self)
 
 
@@ -64,12 +76,13 @@ def _rejects_nothing(gate: Gate) -> bool:
 
 
 class GateState(NamedTuple):
-    """What the gate remembers.
+    """The gate's memory of earlier readings.
 
     Attributes:
-        spread: `(2, *batch)` s of each sensor, 1 or more.
-        rejections: `(2, *batch)` how many readings of each sensor were rejected in a row.
-        rejected_share: `(2, *batch)` how many were lately, as a part of all.
+        spread: `(2, *batch)` s of each sensor, at least 1.
+        rejections: `(2, *batch)` number of consecutive rejected readings of each sensor.
+        rejected_share: `(2, *batch)` share of rejected readings of each sensor, with the memory
+            `SHARE_MEMORY`.
     """
 
     spread: FloatArray
@@ -77,13 +90,13 @@ class GateState(NamedTuple):
     rejected_share: FloatArray
 
 
-class Verdict(NamedTuple):
-    """What the gate says about the readings of an instant.
+class GateDecision(NamedTuple):
+    """Which readings of an instant the gate rejects.
 
     Attributes:
-        nis: `(2, *batch)` of each sensor; 0 where it did not speak.
-        degrees_of_freedom: `(2, *batch)` n, how many rows it measured.
-        rejected: `(2, *batch)` whether it was rejected.
+        nis: `(2, *batch)` NIS of each sensor; 0 where it measured nothing.
+        degrees_of_freedom: `(2, *batch)` n, number of rows that each sensor measured.
+        rejected: `(2, *batch)` whether each sensor's reading is rejected.
     """
 
     nis: FloatArray
@@ -92,7 +105,7 @@ class Verdict(NamedTuple):
 
 
 def gate_for(compass_chance: float, lrf_pose_chance: float) -> Gate:
-    """Return the gate that rejects right readings with these chances; 0 for none at all."""
+    """Return the gate that rejects correct readings with given probabilities; 0: rejects none."""
     compass, lrf_pose = (
         (math.inf, *(exceeded_with(chance, rows) for rows in (1, 2, 3)))
         for chance in (compass_chance, lrf_pose_chance)
@@ -101,28 +114,29 @@ def gate_for(compass_chance: float, lrf_pose_chance: float) -> Gate:
 
 
 OPEN_GATE = gate_for(0.0, 0.0)
+"""The gate that rejects nothing."""
 
 
 def start_gate(batch: tuple[int, ...] = ()) -> GateState:
-    """Return the state of a gate that has seen nothing."""
+    """Return the memory before the first reading."""
     none = np.zeros((SENSOR_COUNT, *batch))
     return GateState(np.ones_like(none), none, none)
 
 
-def judge(gate: Gate, state: GateState, nis: FloatArray, rows: FloatArray) -> Verdict:
+def judge(gate: Gate, state: GateState, nis: FloatArray, rows: FloatArray) -> GateDecision:
     """Return which sensors' readings are rejected.
 
     Args:
         gate: the thresholds.
-        state: what was before.
-        nis: `(2, *batch)` of each sensor against the filter's prediction.
-        rows: `(2, *batch)` how many rows it measured.
+        state: before the readings.
+        nis: `(2, *batch)` NIS of each sensor against the filter's prediction.
+        rows: `(2, *batch)` number of rows that each sensor measured.
     """
-    return Verdict(nis, rows, nis > limits(gate, rows) * state.spread)
+    return GateDecision(nis, rows, nis > limits(gate, rows) * state.spread)
 
 
 def limits(gate: Gate, rows: FloatArray) -> FloatArray:
-    """Return the largest NIS `(2, *batch)` for numbers of rows `(2, *batch)`."""
+    """Return the thresholds x(n), `(2, *batch)`, for numbers of rows `(2, *batch)`."""
     table = _table(gate)
     place = rows.astype(np.intp)
     place[LRF_POSE] += len(table) // SENSOR_COUNT
@@ -136,63 +150,63 @@ def _table(gate: Gate) -> FloatArray:
 
 
 def rows_of(sensors: BoolArray) -> BoolArray:
-    """Return `(4, *batch)` for rows what `(2, *batch)` says for their sensors."""
+    """Return values `(2, *batch)` of the sensors for each of their rows, `(4, *batch)`."""
     found: BoolArray = sensors[SENSOR_OF_ROW]
     return found
 
 
-def after_verdict(
+def after_decision(
     state: GateState,
-    verdict: Verdict,
+    decision: GateDecision,
     agrees: BoolArray,
     elapsed: FloatArray,
     *,
     learns: bool,
 ) -> GateState:
-    """Return the state after an instant.
+    """Return the gate's memory after an instant's readings.
 
     Args:
-        state: before it.
-        verdict: what was said in it.
+        state: before them.
+        decision: which of them are rejected.
         agrees: `(2, *batch)` whether a reading agrees with those that were rejected before it.
-        elapsed: `(2, *batch)` since the sensor's last reading [nominal periods]; from 1 on a
-            reading is worth a whole one.
-        learns: whether R is learned from what is rejected.
+        elapsed: `(2, *batch)` time since the sensor's last reading [nominal periods]; more than 1
+            counts as 1.
+        learns: whether R is adapted.
     """
-    spoke = verdict.degrees_of_freedom > 0.0
+    measured = decision.degrees_of_freedom > 0.0
     largest = LARGEST_SPREAD_LEARNING if learns else LARGEST_SPREAD
     kept, growth = _rates(elapsed)
-    mean_nis = verdict.nis / np.maximum(verdict.degrees_of_freedom, 1.0)
+    mean_nis = decision.nis / np.maximum(decision.degrees_of_freedom, 1.0)
     spread = kept * state.spread + (1.0 - kept) * mean_nis
     spread = np.minimum(np.maximum(spread, 1.0), largest)
     share = SHARE_MEMORY * state.rejected_share
     rejections = state.rejections
-    if verdict.rejected.any():
+    if decision.rejected.any():
         grown = np.minimum(growth * state.spread, largest)
-        spread = np.where(verdict.rejected, np.where(agrees, state.spread, grown), spread)
-        share += (1.0 - SHARE_MEMORY) * verdict.rejected
+        spread = np.where(decision.rejected, np.where(agrees, state.spread, grown), spread)
+        share += (1.0 - SHARE_MEMORY) * decision.rejected
     return GateState(
-        np.where(spoke, spread, state.spread),
-        np.where(spoke, (rejections + 1.0) * verdict.rejected, rejections),
-        np.where(spoke, share, state.rejected_share),
+        np.where(measured, spread, state.spread),
+        np.where(measured, (rejections + 1.0) * decision.rejected, rejections),
+        np.where(measured, share, state.rejected_share),
     )
 
 
 def _rates(elapsed: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
-    """Return what a reading leaves of the spread, and by how much it widens it."""
+    """Return the factors on the spread of an accepted and of a rejected reading."""
     if (elapsed >= 1.0).all():
         return SPREAD_MEMORY, SPREAD_GROWTH
     part = np.minimum(elapsed, 1.0)
     return SPREAD_MEMORY**part, SPREAD_GROWTH**part
 
 
-def teaching(state: GateState, verdict: Verdict, explained: BoolArray) -> BoolArray:
-    """Return whose readings `(2, *batch)` the adaptation is to learn from.
+def teaching(state: GateState, decision: GateDecision, explained: BoolArray) -> BoolArray:
+    """Return from which sensors' readings, `(2, *batch)`, the noise may be learned.
 
     Args:
-        state: before the instant.
-        verdict: what was said in it.
-        explained: `(2, *batch)` whether another place of the robot explains a reading.
+        state: before the readings.
+        decision: which of them are rejected.
+        explained: `(2, *batch)` whether another pose of the robot explains a reading.
     """
     noisy = state.rejected_share >= NOISY_SHARE
-    return ~verdict.rejected | (noisy & ~explained)
+    return ~decision.rejected | (noisy & ~explained)

@@ -1,22 +1,29 @@
-"""The filters of joint adaptation: a place in the bank for each, and the noise it stands for."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The filters of joint adaptation: their places in the bank, and the noise of each."""
 
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, Constant, FloatArray
 from fnn_ekf_ros.core.bank import Bank, Noise
-from fnn_ekf_ros.core.evidence import SCALE_COUNT, STAR, STAR_SIZE
+from fnn_ekf_ros.core.evidence import SCALE_COUNT, STAR, STAR_SIZE, Scale
 
 SETTLED, FAST = 0, 1
-"""The learners, in the order of their axis."""
+"""Indices of the learners on their axis."""
 LEARNER_COUNT = 2
+"""Learners; the length of that axis."""
 SLIP: FloatArray = np.array([1.0, 1.0, 0.0, 0.0]) * np.log(50.0)
-"""Log scales of wheels that slip, against the settled ones."""
-ROW_SCALE = np.array([2, 2, 3, 3])
-"""Which scale each row's R follows."""
+"""Log scales of the hypothesis slip relative to the settled ones: the wheels' variances times 50,
+between slip that hardly matters and a factor of 100."""
+ROW_SCALE = np.array([Scale.POSITION, Scale.POSITION, Scale.YAW, Scale.YAW])
+"""The scale that each row's R follows, rows as in `Row`."""
+PROCESS_SCALES = slice(Scale.DISTANCE, Scale.ROTATION + 1)
+"""The scales that Q follows."""
 
-# Filters of the bank: the start's noise, the two learners' stars, slip, and forecasts of the first
-# ten, made after the last step but one and predicted to now. Those made after the last step stand
-# apart from them, as no reading is compared with them.
+# Filters of the bank: the start's, the stars of the two learners, slip, and the older forecasts of
+# the first ten of these, made after the last step but one and predicted to now. The newer
+# forecasts, made after the last step, are stored elsewhere: no reading is compared with them.
 START, SETTLED_STAR, FAST_STAR = 0, 1, 1 + STAR_SIZE
 SLIP_FILTER = 1 + LEARNER_COUNT * STAR_SIZE
 _FORECAST_SIZE = 1 + STAR_SIZE
@@ -24,13 +31,15 @@ _FILTERS = SLIP_FILTER + 1
 _OLDER = slice(_FILTERS, _FILTERS + _FORECAST_SIZE)
 FORESEEN_START, FORESEEN_STAR = _OLDER.start, _OLDER.start + 1
 JOINT_COUNT = _OLDER.stop
-"""Filters of the bank that readings are compared with."""
+"""Number of filters that readings are compared with."""
 NEWER_COUNT = _FORECAST_SIZE
-"""Filters of the bank that none is compared with: forecasts made after the last step."""
+"""Number of newer forecasts, made after the last step."""
 FORECASTS = _OLDER
-"""Those that readings are compared with, but do not correct."""
+"""Filters that readings are compared with but do not correct: the older forecasts."""
 SUDDEN = np.array([FAST_STAR, SLIP_FILTER])
+"""Filters of the sudden hypotheses, fast and slip."""
 STARS = np.array([star + k for k in range(STAR_SIZE) for star in (FORESEEN_STAR, FAST_STAR)])
+"""Filters of the settled learner's forecast star and of the fast one's star, alternating."""
 _STAR_FACTOR, _SLIP_FACTOR = Constant(np.exp(STAR)), Constant(np.exp(SLIP))
 
 
@@ -40,10 +49,10 @@ def write_noise(
     """Write Q and R of the `JOINT_COUNT` filters.
 
     Args:
-        noise: where they are written.
-        process_noise: `(2, *batch)` Q that theta = 0 stands for (m^2, rad^2).
-        measurement_noise: `(4, *batch)` R, likewise.
-        log_scale: `(4, 2, *batch)` theta of the settled and the fast learner.
+        noise: of these filters; changed.
+        process_noise: `(2, *batch)` Q at theta = 0 (m^2, rad^2).
+        measurement_noise: `(4, *batch)` R at theta = 0 (m^2, m^2, rad^2, rad^2).
+        log_scale: `(4, 2, *batch)` theta of the settled and of the fast learner.
     """
     batch = process_noise.shape[1:]
     scale = np.exp(log_scale)
@@ -54,17 +63,17 @@ def write_noise(
     factor[:, FAST_STAR:SLIP_FILTER] = scale[:, FAST, None] * star
     factor[:, SLIP_FILTER] = scale[:, SETTLED] * _SLIP_FACTOR.behind(len(batch))
     factor[:, _OLDER] = factor[:, :_FORECAST_SIZE]
-    np.multiply(process_noise[:, None], factor[:2], out=noise.process)
+    np.multiply(process_noise[:, None], factor[PROCESS_SCALES], out=noise.process)
     np.multiply(measurement_noise[:, None], factor[ROW_SCALE], out=noise.measurement)
 
 
 def step_forecasts(bank: Bank, newer: Bank, steps: BoolArray) -> None:
-    """Take the forecasts one step on, in place, where readings were one.
+    """Replace the older forecasts by the newer ones, and these by the corrected filters, in place.
 
     Args:
-        bank: the `JOINT_COUNT` filters after the readings; nobody else holds them.
-        newer: the `NEWER_COUNT` forecasts, likewise.
-        steps: `(*batch)` whether readings were a step.
+        bank: the `JOINT_COUNT` filters after the readings; changed.
+        newer: the `NEWER_COUNT` newer forecasts; changed.
+        steps: `(*batch)` whether the readings are a step of the forecasts.
     """
     if not steps.any():
         return

@@ -1,15 +1,20 @@
-"""Limits between which double precision holds what the filter promises."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Limits within which double precision suffices for the filter."""
 
 SMALLEST_STD = 1e-4
-"""No sensor and no wheel is better than this (m, rad)."""
+"""Smallest standard deviation of any sensor or wheel (m, rad): none is more precise."""
 LARGEST_STD = 1e3
-"""None is worse (m, rad)."""
+"""Largest standard deviation of any sensor or wheel (m, rad): none is less precise."""
 LARGEST_POSE_STD = (1e3, 1e3, 10.0)
-"""A pose known worse than this is not known at all; its covariance grows no further (m, m, rad)."""
+"""Largest standard deviations of x, y and yaw (m, m, rad): a pose with these is unknown, and its
+covariance grows no further."""
 CORRELATION_MARGIN = 1e-12
-"""So far from singular is the correlation of a pose that is nearly lost: its variances are up to
-1e14 times those of the best sensor, and rounding alone would make it indefinite."""
+"""Smallest eigenvalue of the correlation of a pose that is nearly unknown: its variances are up to
+1e14 times those of the most precise sensor, and rounding would make it indefinite."""
 LARGEST_POSITION = 1e8
-"""Larger coordinates are a wrong unit or a broken message [m]."""
+"""Largest coordinate [m]: larger ones are a wrong unit or a corrupt message."""
 SMALLEST_CORRELATION_EIGENVALUE = 1e-6
-"""A covariance whose correlations come closer to being singular is a broken message."""
+"""Smallest eigenvalue of the correlation of a covariance from outside: with a smaller one the
+message is taken for corrupt."""

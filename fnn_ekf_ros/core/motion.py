@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion models f(x, u) of the differential drive and their Jacobians (Nguyen et al., eqs. 4-8).
 
 State x = [x, y, theta] (m, m, rad; in the map frame), control u = [dS, dtheta] (m, rad).
@@ -12,7 +15,7 @@ Paper's model (eq. 4): first turns, then drives straight,
 
     x' = x + dS cos(theta + dtheta),  y' = y + dS sin(theta + dtheta),  theta' = theta + dtheta
 
-which is off sideways by about dS dtheta / 2 in a turn; it is kept to reproduce the paper.
+whose lateral error is about dS dtheta / 2 in a turn; it is kept to reproduce the paper.
 
 Jacobians, with d = direction of the step, dx = x' - x, dy = y' - y:
 
@@ -23,10 +26,10 @@ Jacobians, with d = direction of the step, dx = x' - x, dy = y' - y:
 where s = sinc(dtheta/2) for the arc and 1 for the paper's model, and (gx, gy) is the derivative
 of (x', y') with respect to dtheta. Components come first, then filters and batch.
 
-W Q W' puts the noise of a step at its end. A step that is cut in two has noise in its middle as
-well, which the rest of the way turns into a little more position variance sideways: at 0.3 m/s and
-3 degrees a period, 3.3 instead of 2.9 mm (standard deviation). Both are approximations of noise
-that is spread evenly over the way.
+W Q W' adds the noise of a step at its end. A step that is cut in two has noise in its middle as
+well, which the second half turns into a slightly larger lateral variance: at 0.3 m/s and 3 degrees
+a period the lateral standard deviation is 3.3 instead of 2.9 mm. Both are approximations of noise
+that is spread evenly over the distance.
 """
 
 from enum import StrEnum
@@ -36,9 +39,9 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 
-# Below this half angle the power series are exact to double precision; above it the closed
-# forms lose nothing to cancellation that matters (relative error under 1e-11).
 _SERIES_LIMIT = 1e-2
+"""Half angle below which power series replace the closed forms [rad]. Below it the series are exact
+to double precision; above it cancellation costs the closed forms a relative error under 1e-11."""
 
 
 class MotionModel(StrEnum):
@@ -53,41 +56,25 @@ class Motion(NamedTuple):
 
     Attributes:
         mean: `(3, ...)` state after the step (m, m, rad; the heading is not wrapped).
-        by_heading: `(2, ...)` derivative of (x', y') by the heading, [-dy, dx].
-        by_way: `(2, ...)` derivative of (x', y') by dS.
-        by_turn: `(2, ...)` derivative of (x', y') by dtheta.
+        by_heading: `(2, ...)` derivative of (x', y') with respect to theta, [-dy, dx].
+        by_distance: `(2, ...)` derivative of (x', y') with respect to dS.
+        by_rotation: `(2, ...)` derivative of (x', y') with respect to dtheta.
     """
 
     mean: FloatArray
     by_heading: FloatArray
-    by_way: FloatArray
-    by_turn: FloatArray
-
-    def motion_jacobian(self) -> FloatArray:
-        """Return A = df/dx, `(3, 3, ...)`."""
-        A = np.zeros((3, *self.mean.shape))
-        A[0, 0] = A[1, 1] = A[2, 2] = 1.0
-        A[:2, 2] = self.by_heading
-        return A
+    by_distance: FloatArray
+    by_rotation: FloatArray
 
     def noise_jacobian(self) -> FloatArray:
         """Return W = df/du, `(3, 2, ...)`."""
         W = np.zeros((3, 2, *self.mean.shape[1:]))
-        W[:2, 0], W[:2, 1], W[2, 1] = self.by_way, self.by_turn, 1.0
+        W[:2, 0], W[:2, 1], W[2, 1] = self.by_distance, self.by_rotation, 1.0
         return W
 
 
-def sinc(h: FloatArray) -> FloatArray:
-    """Return sin(h)/h, 1 at zero; any shape [rad]."""
-    return _sinc_and_derivative(h)[0]
-
-
-def sinc_derivative(h: FloatArray) -> FloatArray:
-    """Return d/dh sin(h)/h = (cos h - sinc h)/h, 0 at zero; any shape [rad]."""
-    return _sinc_and_derivative(h)[1]
-
-
-def _sinc_and_derivative(h: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sinc_and_derivative(h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return sin(h)/h and its derivative (cos h - sinc h)/h; 1 and 0 at zero; any shape [rad]."""
     small = abs(h) < _SERIES_LIMIT
     if not small.any():
         value = np.sin(h) / h
@@ -103,7 +90,7 @@ def _sinc_and_derivative(h: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -> FloatArray:
-    """Return how far a step moves the robot in the map frame.
+    """Return the displacement of the robot by a step, in the map frame.
 
     Args:
         model: the motion model.
@@ -113,12 +100,14 @@ def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -
     Returns:
         `(3, ...)`: [dx, dy, dtheta] (m, m, rad).
     """
-    heading, way, turn = np.broadcast_arrays(heading, control[0], control[1])
+    heading, distance, rotation = np.broadcast_arrays(heading, *control)
     if model is MotionModel.PAPER:
-        chord, direction = way, heading + turn
+        chord, direction = distance, heading + rotation
     else:
-        chord, direction = way * sinc(0.5 * turn), heading + 0.5 * turn
-    return np.stack([chord * np.cos(direction), chord * np.sin(direction), turn])
+        half = 0.5 * rotation
+        ratio, _ = sinc_and_derivative(half)
+        chord, direction = distance * ratio, heading + half
+    return np.stack([chord * np.cos(direction), chord * np.sin(direction), rotation])
 
 
 def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:
@@ -127,28 +116,30 @@ def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:
     Args:
         model: the motion model.
         mean: `(3, ...)` [x, y, theta] before the step (m, m, rad).
-        control: `(2, ...)` [dS, dtheta] (m, rad), for all filters the same: it broadcasts against
+        control: `(2, ...)` [dS, dtheta] (m, rad), the same for all filters: it broadcasts against
             the trailing dimensions of `mean`.
     """
-    way, turn = control[0], control[1]
+    distance, rotation = control
     direction, after = np.empty((2, *mean.shape[1:])), np.empty(mean.shape)
-    after[2] = mean[2] + turn
+    after[2] = mean[2] + rotation
     if model is MotionModel.PAPER:
         direction[0], direction[1] = np.cos(after[2]), np.sin(after[2])
-        by_way, moved = direction, way * direction
-        by_turn = by_heading = _turned_left(moved)
+        by_distance, moved = direction, distance * direction
+        by_rotation = by_heading = _turned_left(moved)
     else:
-        half = 0.5 * turn
-        scale, slope = _sinc_and_derivative(half)
+        half = 0.5 * rotation
+        ratio, slope = sinc_and_derivative(half)
         middle = mean[2] + half
         direction[0], direction[1] = np.cos(middle), np.sin(middle)
-        by_way = scale * direction
-        moved = way * by_way
+        by_distance = ratio * direction
+        moved = distance * by_distance
         by_heading = _turned_left(moved)
-        by_turn = (0.5 * way * slope) * direction
-        by_turn += 0.5 * by_heading
+        by_rotation = (0.5 * distance * slope) * direction
+        by_rotation += 0.5 * by_heading
     after[:2] = mean[:2] + moved
-    return Motion(after, by_heading, by_way, by_turn)
+    return Motion(
+        mean=after, by_heading=by_heading, by_distance=by_distance, by_rotation=by_rotation
+    )
 
 
 def _turned_left(vector: FloatArray) -> FloatArray:

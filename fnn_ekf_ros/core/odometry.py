@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """From encoder counts to the control input of the filter (Nguyen et al., eqs. 1-3)."""
 
 import math
@@ -25,8 +28,8 @@ class WheelGeometry:
     encoder_counts_per_revolution: float
 
     @property
-    def metres_per_count(self) -> float:
-        """Way of the wheel's rim per encoder count [m] (eq. 1): C_m = pi D / (n C_e)."""
+    def meters_per_count(self) -> float:
+        """Distance of the wheel's rim per encoder count [m] (eq. 1): C_m = pi D / (n C_e)."""
         return (
             2.0 * math.pi * self.wheel_radius
             / (self.gear_ratio * self.encoder_counts_per_revolution)
@@ -46,8 +49,9 @@ def control_from_counts(
         right_counts: counts of the right wheel over the step, `(...)`.
 
     Returns:
-        `(2, ...)`: [dS, dtheta], way of the axle's middle [m] and turn, counter-clockwise [rad].
+        `(2, ...)`: [dS, dtheta], distance of the axle's center [m] and rotation, counter-clockwise
+        [rad].
     """
-    left = geometry.metres_per_count * left_counts
-    right = geometry.metres_per_count * right_counts
+    left = geometry.meters_per_count * left_counts
+    right = geometry.meters_per_count * right_counts
     return np.array([0.5 * (left + right), (right - left) / geometry.wheel_separation])

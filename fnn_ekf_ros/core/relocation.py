@@ -1,12 +1,17 @@
-"""Relocation: where readings that the gate rejects agree with each other, the robot may be there.
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
 
-A filter of its own, the candidate, starts where the first rejected reading says the robot is, takes
-from the published one what that reading does not say, and follows wheels and readings. As long as
-it predicts the readings that the gate rejects it is confirmed; a reading that it does not predict
-starts it anew. Confirmed often and long enough, it is where the robot is.
+"""Relocation: rejected readings that agree with each other show where a carried robot is.
 
-Fixes decide alone. A compass that is confirmed needs fixes that agree with it, too: some, and they
-must not fit the candidate worse than the published filter, or a magnet would turn the robot round.
+The *relocation hypothesis* is a filter of its own. It starts at the pose that the first rejected
+reading shows, takes the components that this reading does not measure from the published filter,
+and follows wheels and readings. A reading that the gate rejects and the hypothesis predicts
+confirms it; a rejected reading that it does not predict starts it again. After enough
+confirmations over a long enough time the published filter is moved to it.
+
+Fixes alone suffice. A confirmation by the compass needs accepted fixes beside it, and their NIS
+against the hypothesis must not exceed that against the published filter by much; otherwise a magnet
+would turn the pose.
 """
 
 from typing import NamedTuple
@@ -15,42 +20,48 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.bank import Bank, Correction, Innovations, Noise, Readings, correct, wrapped
-from fnn_ekf_ros.core.gate import Gate, GateState, Verdict, limits, rows_of
+from fnn_ekf_ros.core.gate import Gate, GateDecision, GateState, limits, rows_of
 from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE, SENSOR_COUNT
 
 CONFIRMATIONS = 8
-"""So many readings in a row have to confirm a candidate."""
+"""Consecutive readings that have to confirm a hypothesis. Two outliers that agree by chance are
+common, eight are not."""
 CONFIRMATION_S = 3.0
-"""And so long they have to: eight of a fast sensor are one and the same mistake [s]."""
+"""Shortest time over which they confirm it [s]: eight readings of a fast sensor can have one
+cause."""
 FEWEST_SUPPORTS = 2.0
-"""So many accepted fixes a compass needs beside it."""
+"""Accepted fixes that a confirmation by the compass needs beside it: a single one can fit by
+chance."""
 LARGEST_DISAGREEMENT = 6.0
-"""By so much NIS the other readings may speak for the published filter, and no more."""
+"""Largest sum of the accepted fixes' NIS against the hypothesis minus that against the published
+filter, for a confirmation by the compass: noise alone rarely exceeds it."""
 
 ROUNDING_S = 1e-3
-"""Stamps are so exact [s]."""
+"""Tolerance on `CONFIRMATION_S` for the rounding of stamps [s]."""
 LARGEST_LOSS = 10.0
-"""No pose is moved to where it would be known worse by more, in std: that is noise, not a place."""
+"""Largest ratio of the hypothesis's position standard deviation to the published filter's. With a
+larger one the rejected readings show a large noise rather than another place."""
 CLEARLY_LESS = 1.0 / 9.0
-"""A candidate explains a reading if its NIS is so much smaller; noise alone seldom does that."""
+"""Ratio of NIS (hypothesis to published filter) below which the hypothesis explains a reading:
+noise alone rarely gives so small a ratio."""
 
 
-class Candidate(NamedTuple):
-    """What is remembered of the place where rejected readings say the robot is.
+class RelocationHypothesis(NamedTuple):
+    """The memory of the hypothesis that the robot is where rejected readings show it.
 
-    Its filter is the last one of the bank, which has it while any robot of the batch has one. That
-    filter keeps the Q and R that were in use when readings began to be rejected: what is learned
-    from rejected readings must not make them agree.
+    Its filter is the last one of the bank, which has it while any robot of the batch has a
+    hypothesis. The filter keeps the Q and R that were in use when the rejections began: noise that
+    is learned from rejected readings must not make them agree.
 
     Attributes:
-        active: `(*batch)` whether there is one; the rest means nothing where not.
-        confirmations: `(2, *batch)` how often the rejected readings of each sensor confirmed it.
-        age_s: `(2, *batch)` since the reading it started with, or the last one of the sensor that
-            did not confirm it [s].
-        supports: `(*batch)` how many fixes the gate accepted meanwhile.
-        disagreement: `(*batch)` sum of NIS against the candidate minus that against the published
-            filter, of fixes that the gate accepted.
-        spread: `(2, *batch)` the gate's when readings began to be rejected.
+        active: `(*batch)` whether there is a hypothesis; the other values are meaningless if not.
+        confirmations: `(2, *batch)` number of rejected readings of each sensor that confirmed it.
+        age_s: `(2, *batch)` time since its start, or since the sensor's last reading that did not
+            confirm it [s].
+        supports: `(*batch)` number of fixes that the gate accepted since its start.
+        disagreement: `(*batch)` sum of these fixes' NIS against the hypothesis minus that against
+            the published filter.
+        spread: `(2, *batch)` the gate's spread when the rejections began.
     """
 
     active: BoolArray
@@ -61,42 +72,14 @@ class Candidate(NamedTuple):
     spread: FloatArray
 
 
-class Relocation(NamedTuple):
-    """What an instant said about the candidate.
+class HypothesisPrediction(NamedTuple):
+    """The hypothesis's filter at an instant before its readings; everything of one filter.
 
     Attributes:
-        agrees: `(2, *batch)` whether each sensor's reading agrees with the candidate.
-        explains: `(2, *batch)` whether it agrees far better than with the published filter.
-        confirmed: `(*batch)` whether the robot is at the candidate from now on.
-    """
-
-    agrees: BoolArray
-    explains: BoolArray
-    confirmed: BoolArray
-
-
-class Followed(NamedTuple):
-    """The candidate after an instant.
-
-    Attributes:
-        candidate: what is remembered of it.
-        place: its filter.
-        relocation: what the instant said about it.
-    """
-
-    candidate: Candidate
-    place: Bank
-    relocation: Relocation
-
-
-class Beside(NamedTuple):
-    """The candidate's filter at an instant, before its readings; each of these is one filter.
-
-    Attributes:
-        predicted: `(1, *batch)` filter.
-        seen: what the readings say against it.
-        noise: that it is run with.
-        nis: `(2, *batch)` of each sensor.
+        predicted: the filter at the instant.
+        seen: innovations of the readings.
+        noise: Q and R of the filter.
+        nis: `(2, *batch)` NIS of each sensor.
     """
 
     predicted: Bank
@@ -105,12 +88,35 @@ class Beside(NamedTuple):
     nis: FloatArray
 
 
-def no_candidate(batch: tuple[int, ...]) -> Candidate:
-    """Return the state without a candidate."""
+class HypothesisUpdate(NamedTuple):
+    """The hypothesis after the readings of an instant.
+
+    Attributes:
+        hypothesis: its memory.
+        corrected: its filter.
+        agrees: `(2, *batch)` whether the hypothesis predicts each sensor's reading.
+        explains: `(2, *batch)` whether it does so far better than the published filter.
+        confirmed: `(*batch)` whether the published filter is to be moved to it.
+    """
+
+    hypothesis: RelocationHypothesis
+    corrected: Bank
+    agrees: BoolArray
+    explains: BoolArray
+    confirmed: BoolArray
+
+
+def no_hypothesis(batch: tuple[int, ...]) -> RelocationHypothesis:
+    """Return the memory without a hypothesis."""
     none = np.zeros(batch)
     of_sensors = np.zeros((SENSOR_COUNT, *batch))
-    return Candidate(
-        np.zeros(batch, dtype=np.bool_), of_sensors, of_sensors, none, none, of_sensors
+    return RelocationHypothesis(
+        active=np.zeros(batch, dtype=np.bool_),
+        confirmations=of_sensors,
+        age_s=of_sensors,
+        supports=none,
+        disagreement=none,
+        spread=of_sensors,
     )
 
 
@@ -123,91 +129,135 @@ def nis_by_sensor(seen: Innovations, corrected: Correction, which: int) -> Float
     return nis
 
 
-def follow(
+def update_hypothesis(
     gate: Gate,
-    remembered: GateState,
-    candidate: Candidate,
-    beside: Beside,
+    gate_state: GateState,
+    hypothesis: RelocationHypothesis,
+    prediction: HypothesisPrediction,
     published: Bank,
     readings: Readings,
-    verdict: Verdict,
-) -> Followed:
-    """Take the candidate over an instant, or start one.
+    decision: GateDecision,
+) -> HypothesisUpdate:
+    """Take the hypothesis over the readings of an instant, or start one.
 
     Args:
-        gate: how far a reading may be off to agree.
-        remembered: by the gate, before the instant.
-        candidate: before the readings; not changed.
-        beside: its filter; it means nothing for robots that have no candidate.
-        published: `(1, *batch)` the published filter after the readings.
+        gate: its thresholds say how large the NIS of a reading that agrees may be.
+        gate_state: the gate's memory before the readings.
+        hypothesis: before the readings; not changed.
+        prediction: of its filter; meaningless for robots that have no hypothesis.
+        published: the published filter after the readings.
         readings: of the instant.
-        verdict: what the gate says about them.
+        decision: of the gate.
     """
-    rejected, rows, nis = verdict.rejected, verdict.degrees_of_freedom, beside.nis
-    spoke = rows > 0.0
-    tolerance = np.where(candidate.active, candidate.spread, remembered.spread)
-    agrees = candidate.active & spoke & (nis <= limits(gate, rows) * tolerance)
+    rejected, rows, nis = decision.rejected, decision.degrees_of_freedom, prediction.nis
+    measured = rows > 0.0
+    spread = np.where(hypothesis.active, hypothesis.spread, gate_state.spread)
+    hypothesis = hypothesis._replace(spread=spread)
+    agrees = hypothesis.active & measured & (nis <= limits(gate, rows) * spread)
     used = readings.available & rows_of(agrees)
-    followed = correct(beside.predicted, beside.seen, beside.noise, used).bank
+    corrected = correct(prediction.predicted, prediction.seen, prediction.noise, used).bank
 
+    starts = np.any(rejected & ~agrees, axis=0)
+    started = _start(published, prediction.noise, readings, rejected)
+    after = _memory_after(hypothesis, gate_state, decision, nis, agrees, starts)
+    bank = wrapped(
+        Bank(
+            np.where(starts, started.mean, corrected.mean),
+            np.where(starts, started.covariance, corrected.covariance),
+        )
+    )
+    known = _position_variance(bank) <= LARGEST_LOSS**2 * _position_variance(published)
+    return HypothesisUpdate(
+        after,
+        bank,
+        agrees,
+        explains=agrees & (nis < CLEARLY_LESS * decision.nis),
+        confirmed=_is_confirmed(after, rejected, agrees, known),
+    )
+
+
+def _memory_after(
+    hypothesis: RelocationHypothesis,
+    gate_state: GateState,
+    decision: GateDecision,
+    nis: FloatArray,
+    agrees: BoolArray,
+    starts: BoolArray,
+) -> RelocationHypothesis:
+    """Return the memory after the readings of an instant.
+
+    Args:
+        hypothesis: before the readings.
+        gate_state: the gate's memory before the readings.
+        decision: of the gate.
+        nis: `(2, *batch)` NIS of each sensor against the hypothesis.
+        agrees: `(2, *batch)` whether the hypothesis predicts each sensor's reading.
+        starts: `(*batch)` whether a hypothesis starts with these readings.
+    """
+    rejected, measured = decision.rejected, decision.degrees_of_freedom > 0.0
     confirms = rejected & agrees
     confirmations = np.where(
         confirms,
-        candidate.confirmations + 1.0,
-        np.where(spoke, 0.0, candidate.confirmations),
+        hypothesis.confirmations + 1.0,
+        np.where(measured, 0.0, hypothesis.confirmations),
     )
-    starts = np.any(rejected & ~agrees, axis=0)
-    started = _start(published, beside.noise, readings, rejected)
-    in_a_row = np.where(spoke, rejected, remembered.rejections > 0.0)
-    accepted_fix = (spoke & ~rejected)[LRF_POSE]
-    against = np.where(accepted_fix, (nis - verdict.nis)[LRF_POSE], 0.0)
-    after = Candidate(
-        active=starts | (candidate.active & np.any(in_a_row, axis=0)),
+    rejects_on = np.where(measured, rejected, gate_state.rejections > 0.0)
+    accepted_fix = (measured & ~rejected)[LRF_POSE]
+    against = np.where(accepted_fix, (nis - decision.nis)[LRF_POSE], 0.0)
+    return hypothesis._replace(
+        active=starts | (hypothesis.active & np.any(rejects_on, axis=0)),
         confirmations=np.where(starts, 0.0, confirmations),
-        age_s=np.where(starts | (spoke & ~confirms), 0.0, candidate.age_s),
-        supports=np.where(starts, 0.0, candidate.supports + accepted_fix),
-        disagreement=np.where(starts, 0.0, candidate.disagreement + against),
-        spread=tolerance,
+        age_s=np.where(starts | (measured & ~confirms), 0.0, hypothesis.age_s),
+        supports=np.where(starts, 0.0, hypothesis.supports + accepted_fix),
+        disagreement=np.where(starts, 0.0, hypothesis.disagreement + against),
     )
-    place = wrapped(
-        Bank(
-            np.where(starts, started.mean, followed.mean),
-            np.where(starts, started.covariance, followed.covariance),
-        )
-    )
-    known = _position_variance(place) <= LARGEST_LOSS**2 * _position_variance(published)
-    long = after.age_s > CONFIRMATION_S - ROUNDING_S
-    enough = confirms & (after.confirmations >= CONFIRMATIONS) & long & known
-    confirmed = enough[LRF_POSE] | (
+
+
+def _is_confirmed(
+    hypothesis: RelocationHypothesis, rejected: BoolArray, agrees: BoolArray, known: BoolArray
+) -> BoolArray:
+    """Return whether the published filter is to be moved to the hypothesis, `(*batch)`.
+
+    Args:
+        hypothesis: after the readings of the instant.
+        rejected: `(2, *batch)` whether the gate rejected each sensor's reading.
+        agrees: `(2, *batch)` whether the hypothesis predicts it.
+        known: `(*batch)` whether the hypothesis's position is known well enough.
+    """
+    lasts = hypothesis.age_s > CONFIRMATION_S - ROUNDING_S
+    often = hypothesis.confirmations >= CONFIRMATIONS
+    enough = rejected & agrees & often & lasts & known
+    confirmed: BoolArray = enough[LRF_POSE] | (
         enough[COMPASS]
         & ~rejected[LRF_POSE]
-        & (after.supports >= FEWEST_SUPPORTS)
-        & (after.disagreement <= LARGEST_DISAGREEMENT)
+        & (hypothesis.supports >= FEWEST_SUPPORTS)
+        & (hypothesis.disagreement <= LARGEST_DISAGREEMENT)
     )
-    explains = agrees & (nis < CLEARLY_LESS * verdict.nis)
-    return Followed(after, place, Relocation(agrees, explains, confirmed))
+    return confirmed
 
 
 def _position_variance(bank: Bank) -> FloatArray:
+    """Return the variance of x plus that of y, `(*batch)`, of a bank's first filter [m^2]."""
     return np.asarray(bank.covariance[0, 0, 0] + bank.covariance[1, 1, 0])
 
 
 def _start(published: Bank, noise: Noise, readings: Readings, rejected: BoolArray) -> Bank:
-    """Return the published filter with what the rejected readings say in its place."""
+    """Return the published filter with what the rejected readings measure in its place."""
     z, R = readings.values[:, None], noise.measurement
-    says = (readings.available & rows_of(rejected))[:, None]
-    by_compass = says[Row.COMPASS_YAW]
-    replaced = np.stack([says[Row.X], says[Row.Y], by_compass | says[Row.LRF_YAW]])
-    told = np.stack([z[Row.X], z[Row.Y], np.where(by_compass, z[Row.COMPASS_YAW], z[Row.LRF_YAW])])
+    measured = (readings.available & rows_of(rejected))[:, None]
+    by_compass = measured[Row.COMPASS_YAW]
+    replaced = np.stack([measured[Row.X], measured[Row.Y], by_compass | measured[Row.LRF_YAW]])
+    yaw = np.where(by_compass, z[Row.COMPASS_YAW], z[Row.LRF_YAW])
+    pose = np.stack([z[Row.X], z[Row.Y], yaw])
 
-    told_P = np.zeros_like(published.covariance)
-    told_P[0, 0], told_P[1, 1] = R[Row.X], R[Row.Y]
-    told_P[2, 2] = np.where(by_compass, R[Row.COMPASS_YAW], R[Row.LRF_YAW])
+    P = np.zeros_like(published.covariance)
+    P[0, 0], P[1, 1] = R[Row.X], R[Row.Y]
+    P[2, 2] = np.where(by_compass, R[Row.COMPASS_YAW], R[Row.LRF_YAW])
     if noise.coupling is not None:
-        told_P[0, 1] = told_P[1, 0] = -noise.coupling.y_x * R[Row.X]
+        P[0, 1] = P[1, 0] = -noise.coupling.y_x * R[Row.X]
     both = replaced[:, None] & replaced[None]
     neither = ~replaced[:, None] & ~replaced[None]
     return Bank(
-        np.where(replaced, told, published.mean),
-        np.where(both, told_P, np.where(neither, published.covariance, 0.0)),
+        np.where(replaced, pose, published.mean),
+        np.where(both, P, np.where(neither, published.covariance, 0.0)),
     )

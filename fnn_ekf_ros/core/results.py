@@ -1,4 +1,7 @@
-"""What a filter is told of a period, and what the period showed."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The input of the filter, one epoch at a time, and the results of instants and periods."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,20 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
-from fnn_ekf_ros.core.joint import JointReport, Learned
-from fnn_ekf_ros.core.rows import SENSOR_COUNT
+from fnn_ekf_ros.core.joint_state import JointReport, Learned
+from fnn_ekf_ros.core.rows import SENSOR_COUNT, SENSOR_OF_ROW
 
 
 class Epoch(NamedTuple):
-    """The time from one instant to the next, and what was measured at its end.
+    """The step of the wheels from one instant to the next, and the readings at its end.
 
     Attributes:
         control: `(2, *batch)` [dS, dtheta] of the wheels (m, rad).
-        duration_s: how long it took [s].
+        duration_s: its duration [s].
         measurement: `(4, *batch)` z (m, m, rad, rad), rows as in `Row`.
         available: `(4, *batch)` which rows were measured.
-        fix_covariance: `(3, 3, *batch)` R of x, y and laser yaw as the fix reported it, to be
-            multiplied by the adapted scale; None to use the filter's own R.
+        fix_covariance: `(3, 3, *batch)` R of x, y and laser yaw as the fix reported it, which is
+            multiplied by the adapted scale; None: the filter's own R is used.
     """
 
     control: FloatArray
@@ -30,23 +33,22 @@ class Epoch(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """What the readings of an instant showed.
+    """The results of an instant with readings.
 
     Attributes:
         innovation: `(4, *batch)` r, 0 where not available (m, m, rad, rad).
         innovation_variance: `(4, *batch)` diagonal of S.
         available: `(4, *batch)` which rows were measured.
         teaches: `(4, *batch)` which of them the noise may be learned from.
-        heading: `(*batch)` predicted [rad].
-        reported_scale: `(4, *batch)` by how much the R in use moves when the filter's own R moves
-            by one.
-        nis: `(*batch)` normalised innovation squared of the available rows.
-        degrees_of_freedom: `(*batch)` how many rows that were.
-        sensor_nis: `(2, *batch)` NIS of each sensor's rows, in the order of `gate`.
-        sensor_degrees_of_freedom: `(2, *batch)` how many rows it measured.
-        rejected: `(2, *batch)` whether the gate rejected it.
-        relocated: `(*batch)` whether the pose was moved to where rejected readings agree.
-        learned: what joint adaptation learned; None if nothing, or in the other modes.
+        heading: `(*batch)` predicted yaw [rad].
+        reported_scale: `(4, *batch)` change of R in use per change of the filter's own R.
+        nis: `(*batch)` normalized innovation squared of the measured rows.
+        degrees_of_freedom: `(*batch)` number of these rows.
+        sensor_nis: `(2, *batch)` NIS of each sensor's rows; sensors as in `rows`.
+        sensor_degrees_of_freedom: `(2, *batch)` number of rows that each sensor measured.
+        rejected: `(2, *batch)` whether the gate rejected each sensor's reading.
+        relocated: `(*batch)` whether the pose was moved to the relocation hypothesis.
+        learned: the result of joint adaptation; None if nothing was learned, or in other modes.
     """
 
     innovation: FloatArray
@@ -65,25 +67,25 @@ class Shown(NamedTuple):
 
 
 class StepResult(NamedTuple):
-    """What one period showed; for diagnostics and statistics.
+    """The results of one period, for diagnostics and statistics.
 
     Attributes:
         innovation: `(4, *batch)` the last r of each row, 0 where not available (m, m, rad, rad).
-        innovation_variance: `(4, *batch)` diagonal of S, of the same reading.
+        innovation_variance: `(4, *batch)` diagonal of S of the same readings.
         available: `(4, *batch)` which rows were measured.
-        nis: `(*batch)` normalised innovation squared, summed over all readings.
-        degrees_of_freedom: `(*batch)` how many rows these had.
+        nis: `(*batch)` normalized innovation squared, summed over all readings.
+        degrees_of_freedom: `(*batch)` number of rows of these readings.
         mismatch: `(4, *batch)` D = S - C_hat.
         firing_strength: `(3, 4, *batch)` alpha of the rules I, M, D for the rows of R; in mode `q`
             those of Q, in the rows of x and compass yaw; in mode `joint` of the four log scales.
         process_firing_strength: `(3, 2, *batch)` the same for Q's distance and rotation, modes `q`
             and `rq`.
-        joint: what joint adaptation believes; None in the other modes.
-        sensor_nis: `(2, *batch)` NIS of each sensor's rows, summed, in the order of `gate`.
-        sensor_degrees_of_freedom: `(2, *batch)` how many rows it measured.
-        rejected: `(2, *batch)` whether the gate rejected a reading of it.
-        relocated: `(*batch)` whether the pose was moved to where rejected readings agree.
-        shown: what each instant with readings showed.
+        joint: noise and weights of joint adaptation; None in the other modes.
+        sensor_nis: `(2, *batch)` NIS of each sensor's rows, summed; sensors as in `rows`.
+        sensor_degrees_of_freedom: `(2, *batch)` number of rows that each sensor measured.
+        rejected: `(2, *batch)` whether the gate rejected any reading of each sensor.
+        relocated: `(*batch)` whether the pose was moved to the relocation hypothesis.
+        shown: the results of each instant with readings.
     """
 
     innovation: FloatArray
@@ -101,11 +103,30 @@ class StepResult(NamedTuple):
     relocated: BoolArray
     shown: tuple[Shown, ...]
 
+    @property
+    def accepted(self) -> BoolArray:
+        """`(4, *batch)` which rows were measured in a reading that the gate accepted."""
+        accepted = np.zeros_like(self.available)
+        for shown in self.shown:
+            accepted |= shown.available & ~shown.rejected[SENSOR_OF_ROW]
+        return accepted
+
+    @property
+    def accepted_position(self) -> BoolArray:
+        """`(*batch)` whether a position was accepted, or the pose moved to where fixes agree."""
+        return np.asarray(self.accepted[Row.X] | self.relocated)
+
+    @property
+    def accepted_yaw(self) -> BoolArray:
+        """`(*batch)` whether a yaw was accepted."""
+        accepted = self.accepted
+        return np.asarray(accepted[Row.COMPASS_YAW] | accepted[Row.LRF_YAW])
+
 
 def last_of_each_row(shown: Sequence[Shown]) -> Shown:
-    """Return what several instants showed, one at least, as one: the last reading of each row.
+    """Return the results of at least one instant as one: the last reading of each row.
 
-    NIS and degrees of freedom are summed up.
+    NIS and degrees of freedom are summed.
     """
     result = shown[0]
     for later in shown[1:]:
@@ -134,15 +155,15 @@ def last_of_each_row(shown: Sequence[Shown]) -> Shown:
 
 
 def nothing_shown(heading: FloatArray, variance: FloatArray) -> Shown:
-    """Return what a period without readings shows.
+    """Return the results of a period without readings.
 
     Args:
-        heading: `(*batch)` where it ended [rad].
-        variance: `(4, *batch)` diagonal of S there.
+        heading: `(*batch)` yaw at its end [rad].
+        variance: `(4, *batch)` diagonal of S at its end (m^2, m^2, rad^2, rad^2).
     """
     none = np.zeros_like(variance)
-    nobody = np.zeros((SENSOR_COUNT, *heading.shape))
-    no_row, no_sensor = none.astype(np.bool_), nobody.astype(np.bool_)
+    no_nis = np.zeros((SENSOR_COUNT, *heading.shape))
+    no_row, no_sensor = none.astype(np.bool_), no_nis.astype(np.bool_)
     return Shown(
         innovation=none,
         innovation_variance=variance,
@@ -152,8 +173,8 @@ def nothing_shown(heading: FloatArray, variance: FloatArray) -> Shown:
         reported_scale=np.ones_like(none),
         nis=none[0],
         degrees_of_freedom=none[0],
-        sensor_nis=nobody,
-        sensor_degrees_of_freedom=nobody,
+        sensor_nis=no_nis,
+        sensor_degrees_of_freedom=no_nis,
         rejected=no_sensor,
         relocated=no_sensor[0],
         learned=None,
@@ -161,7 +182,7 @@ def nothing_shown(heading: FloatArray, variance: FloatArray) -> Shown:
 
 
 def _last_learned(before: Learned | None, later: Learned | None) -> Learned | None:
-    """Return what each robot of a batch learned last."""
+    """Return the last result of joint adaptation for each robot of a batch."""
     if before is None or later is None:
         return before if later is None else later
     taught = later.firing_strength.any(axis=(0, 1))

@@ -1,4 +1,7 @@
-"""Rows of a measurement, and what follows from which of them are there."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Rows of a measurement: their sensors, their order, and how many there are."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -7,30 +10,35 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray, Row
 
-FIX_ROWS = (Row.X, Row.Y, Row.LRF_YAW)
+POSITION_ROWS = (Row.X, Row.Y)
+"""Rows of a fix's position."""
+FIX_ROWS = (*POSITION_ROWS, Row.LRF_YAW)
 """Rows of a fix, in the order of its covariance."""
 SENSOR_COUNT = 2
+"""Sensors whose readings are gated; the length of the axis of sensors."""
 COMPASS, LRF_POSE = range(SENSOR_COUNT)
-"""The sensors, in this order wherever an axis is the sensors'."""
+"""Indices of the sensors on that axis."""
 SENSOR_OF_ROW = np.array([LRF_POSE, LRF_POSE, COMPASS, LRF_POSE])
-"""Whose each row is, rows as in `Row`."""
+"""Index of the sensor that measures each row, rows as in `Row`."""
 _ORDER = (*FIX_ROWS, Row.COMPASS_YAW)
-"""In which rows are taken: after those of the fix its NIS is known, whatever the compass says."""
+"""Order in which the rows of an instant correct the filters: the compass comes last, so that the
+fix's NIS does not depend on it."""
 _COMBINATIONS = 1 << MEASUREMENT_SIZE
+"""Sets of rows that one robot can measure; so many results are cached."""
 
 Taken = tuple[tuple[Row, BoolArray | None], ...]
-"""Rows in the order in which they are taken, each with its robots `(*batch)`; None: all of them."""
+"""Rows in the order in which they are taken, each with its robots `(*batch)`; None: all robots."""
 
 
 class Rows(NamedTuple):
-    """Some rows of the measurements of a batch.
+    """A set of measurement rows for each robot of a batch.
 
     Attributes:
-        each: `(4, *batch)` whether each row is one of them.
-        of_sensor: `(2, *batch)` how many are each sensor's.
-        total: `(*batch)` how many they are.
-        fix: `(*batch)` whether any is a fix's.
-        some: `(*batch)` whether there are any.
+        each: `(4, *batch)` whether each row is in the set.
+        of_sensor: `(2, *batch)` number of rows of each sensor.
+        total: `(*batch)` number of rows.
+        fix: `(*batch)` whether any row is a fix's.
+        some: `(*batch)` whether there is any row.
     """
 
     each: BoolArray
@@ -41,12 +49,12 @@ class Rows(NamedTuple):
 
 
 def rows_where(each: BoolArray) -> Rows:
-    """Return the rows that `(4, *batch)` says."""
+    """Return the set of rows where `(4, *batch)` is true."""
     return _rows(each) if each.ndim > 1 else _rows_of_one(each.tobytes())
 
 
 def in_order(each: BoolArray) -> Taken:
-    """Return the rows that `(4, *batch)` says for any robot, as they are taken."""
+    """Return the rows where `(4, *batch)` is true for any robot, in the order they are taken."""
     return _in_order(each) if each.ndim > 1 else _in_order_of_one(each.tobytes())
 
 
@@ -66,7 +74,7 @@ def _rows(each: BoolArray) -> Rows:
     of_sensor[LRF_POSE] = each[list(FIX_ROWS)].sum(axis=0)
     total = np.asarray(of_sensor[COMPASS] + of_sensor[LRF_POSE])
     fix = np.asarray(of_sensor[LRF_POSE] > 0.0)
-    return Rows(each, of_sensor, total, fix, np.asarray(total > 0.0))
+    return Rows(each=each, of_sensor=of_sensor, total=total, fix=fix, some=np.asarray(total > 0.0))
 
 
 def _in_order(each: BoolArray) -> Taken:

@@ -1,4 +1,7 @@
-"""The filter as one immutable value: what it is, what it remembers, where it starts."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The filter as one immutable value: its model, its state, and where it starts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,38 +15,48 @@ from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.bank import Bank, Noise
 from fnn_ekf_ros.core.gate import OPEN_GATE, Gate, GateState, start_gate
-from fnn_ekf_ros.core.joint import JointState, calm_noise, start_joint, without_forecasts
 from fnn_ekf_ros.core.joint_filters import (
     JOINT_COUNT,
     NEWER_COUNT,
     write_noise,
 )
+from fnn_ekf_ros.core.joint_state import (
+    JointState,
+    noise_without_alarms,
+    start_joint,
+    without_forecasts,
+)
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.pace import Pace, start_pace
-from fnn_ekf_ros.core.relocation import Candidate, no_candidate
+from fnn_ekf_ros.core.relocation import RelocationHypothesis, no_hypothesis
 from fnn_ekf_ros.core.suspects import SUSPECT_COUNT, SUSPECTS, noise_of_suspects
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window
 
-PUBLISHED = slice(0, 1)
-"""The published filter's place in the bank; those of joint adaptation follow, then the suspects."""
-JOINT = slice(1, 1 + JOINT_COUNT)
+PUBLISHED_INDEX = 0
+"""Index of the published filter in the bank."""
+PUBLISHED = slice(PUBLISHED_INDEX, PUBLISHED_INDEX + 1)
+"""The published filter alone; those of joint adaptation follow in the bank, then the suspects."""
+JOINT = slice(PUBLISHED.stop, PUBLISHED.stop + JOINT_COUNT)
+"""The filters of joint adaptation that readings are compared with."""
 FORECAST = slice(JOINT.start, JOINT.start + NEWER_COUNT)
-"""The filters of joint adaptation that forecasts are made of."""
+"""The filters of joint adaptation that the forecasts start from."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterModel:
-    """What a filter is told once.
+    """The configuration of a filter.
 
     Attributes:
         motion_model: f(x, u).
-        period_s: after so long the paper's modes adapt the noise [s].
-        process_noise: diagonal of Q for `NOMINAL_PERIOD_S` at the start (m^2, rad^2).
-        measurement_noise: diagonal of R at the start, rows as in `Row`; what covariances that a
-            fix reports are scaled against.
+        period_s: interval at which the paper's modes adapt the noise [s].
+        process_noise: configured diagonal of Q (distance, rotation) for `NOMINAL_PERIOD_S`
+            (m^2, rad^2).
+        measurement_noise: configured diagonal of R, rows as in `Row` (m^2, m^2, rad^2, rad^2);
+            covariances that a fix reports are scaled by the ratio of R in use to it.
         adaptation: how Q and R change.
-        gate: which readings are too wild to be right.
-        suspects: whether to follow who does not fit the others.
+        gate: which readings are rejected as outliers.
+        suspects: whether to run the filters that find which of wheels, compass and fixes does not
+            fit the others.
     """
 
     motion_model: MotionModel
@@ -56,32 +69,32 @@ class FilterModel:
 
     @property
     def is_joint(self) -> bool:
-        """Whether the mode is joint, which has filters of its own."""
+        """Whether the mode is joint, which has filters of its own in the bank."""
         return self.adaptation.mode is AdaptationMode.JOINT
 
     @property
     def layout(self) -> "Layout":
-        """Where in the bank which filters are."""
+        """Which filters are where in the bank."""
         return _layout(self.is_joint, self.suspects)
 
 
 class Layout(NamedTuple):
-    """Where in the bank which filters are; a candidate's comes last.
+    """Which filters are where in the bank; the relocation hypothesis's is the last one.
 
     Attributes:
-        compared: those that readings are compared with: the published one, those of joint
+        compared: those that readings are compared with: the published filter, those of joint
             adaptation, the suspects.
-        suspects: the last of these; empty without them.
-        newer_forecasts: of joint adaptation; empty in the other modes.
-        steady: all of them.
-        candidate: the rest, if there is one.
+        suspects: the suspects, the last of these; empty without them.
+        newer_forecasts: the newer forecasts of joint adaptation; empty in the other modes.
+        steady: all filters but the relocation hypothesis's.
+        relocation_hypothesis: the relocation hypothesis's filter; empty without one.
     """
 
     compared: slice
     suspects: slice
     newer_forecasts: slice
     steady: slice
-    candidate: slice
+    relocation_hypothesis: slice
 
 
 @cache
@@ -90,26 +103,26 @@ def _layout(joint: bool, suspects: bool) -> Layout:
     compared = first + (SUSPECT_COUNT if suspects else 0)
     count = compared + (NEWER_COUNT if joint else 0)
     return Layout(
-        slice(0, compared),
-        slice(first, compared),
-        slice(compared, count),
-        slice(0, count),
-        slice(count, None),
+        compared=slice(0, compared),
+        suspects=slice(first, compared),
+        newer_forecasts=slice(compared, count),
+        steady=slice(0, count),
+        relocation_hypothesis=slice(count, None),
     )
 
 
 class FilterState(NamedTuple):
-    """Everything a filter remembers.
+    """The complete state of a filter.
 
     Attributes:
-        bank: the published filter, those of joint adaptation, the suspects, and the candidate.
-        noise: that they run on.
+        bank: all filters, as `Layout` says.
+        noise: Q and R of these.
         window: the last innovations.
-        joint: what joint adaptation remembers; None in the other modes.
-        gate: what the gate remembers.
-        candidate: where rejected readings say the robot is.
-        lead: `(3, *batch)` by how much each of `SUSPECTS` has predicted better of late [nats].
-        pace: how long ago what was read.
+        joint: the state of joint adaptation; None in the other modes.
+        gate: the gate's memory.
+        relocation_hypothesis: where rejected readings show the robot.
+        lead: `(3, *batch)` recent log likelihood ratio of each of `SUSPECTS` [nats].
+        pace: times since the last readings.
     """
 
     bank: Bank
@@ -117,33 +130,33 @@ class FilterState(NamedTuple):
     window: InnovationWindow
     joint: JointState | None
     gate: GateState
-    candidate: Candidate
+    relocation_hypothesis: RelocationHypothesis
     lead: FloatArray
     pace: Pace
 
-    def has_candidate(self, model: FilterModel) -> bool:
-        """Return whether the bank has a candidate's filter, its last one."""
+    def has_relocation_hypothesis(self, model: FilterModel) -> bool:
+        """Return whether the bank has the relocation hypothesis's filter, its last one."""
         return bool(self.bank.mean.shape[1] > model.layout.steady.stop)
 
     @property
     def mean(self) -> FloatArray:
         """`(3, *batch)` [x, y, theta] in the map frame (m, m, rad)."""
-        return self.bank.mean[:, 0]
+        return self.bank.mean[:, PUBLISHED_INDEX]
 
     @property
     def covariance(self) -> FloatArray:
         """`(3, 3, *batch)` P."""
-        return self.bank.covariance[:, :, 0]
+        return self.bank.covariance[:, :, PUBLISHED_INDEX]
 
     @property
     def process_noise(self) -> FloatArray:
         """`(2, *batch)` diagonal of Q for `NOMINAL_PERIOD_S` (m^2, rad^2)."""
-        return self.noise.process[:, 0]
+        return self.noise.process[:, PUBLISHED_INDEX]
 
     @property
     def measurement_noise(self) -> FloatArray:
         """`(4, *batch)` diagonal of R, rows as in `Row`."""
-        return self.noise.measurement[:, 0]
+        return self.noise.measurement[:, PUBLISHED_INDEX]
 
 
 def start_filter(
@@ -153,14 +166,14 @@ def start_filter(
     process_noise: FloatArray | None = None,
     measurement_noise: FloatArray | None = None,
 ) -> FilterState:
-    """Return the state of a filter that has seen nothing but its start.
+    """Return the state of a filter before the first reading.
 
     Args:
         model: the filter.
-        mean: `(3, *batch)` start (m, m, rad).
-        covariance: `(3, 3, *batch)` covariance of the start; broadcasts, as do the others.
-        process_noise: `(2, *batch)` Q to start from instead of the model's (m^2, rad^2).
-        measurement_noise: `(4, *batch)` R to start from instead of the model's.
+        mean: `(3, *batch)` pose at the start (m, m, rad).
+        covariance: `(3, 3, *batch)` its covariance; broadcasts, as do the following.
+        process_noise: `(2, *batch)` Q at the start; None: the model's (m^2, rad^2).
+        measurement_noise: `(4, *batch)` R at the start; None: the model's.
     """
     batch = mean.shape[1:]
     Q = _for_batch(model.process_noise if process_noise is None else process_noise, batch)
@@ -175,7 +188,7 @@ def start_filter(
         window=empty_window(model.adaptation.window_length, batch),
         joint=joint,
         gate=start_gate(batch),
-        candidate=no_candidate(batch),
+        relocation_hypothesis=no_hypothesis(batch),
         lead=np.zeros((len(SUSPECTS), *batch)),
         pace=start_pace(batch),
     )
@@ -184,7 +197,7 @@ def start_filter(
 def reset_pose(
     model: FilterModel, state: FilterState, mean: FloatArray, covariance: FloatArray
 ) -> FilterState:
-    """Return the state at another pose; the adapted noise is kept, old innovations are not.
+    """Return the state at another pose, with the adapted noise and without old innovations.
 
     Args:
         model: the filter.
@@ -200,64 +213,54 @@ def reset_pose(
         window=empty_window(len(state.window.squares), batch),
         joint=None if state.joint is None else without_forecasts(state.joint),
         gate=start_gate(batch),
-        candidate=no_candidate(batch),
+        relocation_hypothesis=no_hypothesis(batch),
         lead=np.zeros_like(state.lead),
     )
 
 
 def for_mode(model: FilterModel, state: FilterState) -> FilterState:
-    """Return the state as the model's mode of adaptation needs it; itself where it does already.
+    """Return the state for the model's mode of adaptation; the same state if it is of that mode.
 
-    The noise stays when the mode changes: what an alarm of mode joint adds for a moment does not.
-    Into mode joint that noise is its start, with nothing learned yet.
+    When the mode changes, the adapted noise is kept, without the temporary increase by alarms of
+    mode joint. Mode joint starts from that noise, with nothing learned yet.
     """
     if model.is_joint == (state.joint is not None):
         return state
     Q, R = state.process_noise, state.measurement_noise
     if state.joint is not None:
-        Q, R = lasting_noise(model, state)
+        Q, R = noise_without_alarms(state.joint, model.adaptation.bounds)
     joint = start_joint(Q, R) if model.is_joint else None
     noise = _noise_of_all(model, Q, R, joint)
     return state._replace(
         bank=_at_pose(noise.process.shape[1], state.mean, state.covariance),
         noise=noise,
         joint=joint,
-        candidate=no_candidate(state.mean.shape[1:]),
+        relocation_hypothesis=no_hypothesis(state.mean.shape[1:]),
         lead=np.zeros_like(state.lead),
     )
-
-
-def lasting_noise(model: FilterModel, state: FilterState) -> tuple[FloatArray, FloatArray]:
-    """Return Q and R without what an alarm adds for a moment, and within the bounds.
-
-    Args:
-        model: has the bounds.
-        state: has the noise.
-    """
-    return usual_noise(model, state.process_noise, state.measurement_noise, state.joint)
 
 
 def with_noise(model: FilterModel, state: FilterState, Q: FloatArray, R: FloatArray) -> FilterState:
     """Return the state with other noise in use, Q `(2, *batch)` and R `(4, *batch)`.
 
-    The other filters follow; a candidate keeps its own.
+    The noise of the other filters follows from it; the relocation hypothesis keeps its own.
     """
     noise = _noise_of_all(model, Q, R, state.joint)
-    if state.has_candidate(model):
-        noise = _side_by_side([noise, state.noise.filters(model.layout.candidate)])
+    if state.has_relocation_hypothesis(model):
+        noise = _side_by_side([noise, state.noise.filters(model.layout.relocation_hypothesis)])
     return state._replace(noise=noise)
 
 
 def _noise_of_all(
     model: FilterModel, Q: FloatArray, R: FloatArray, joint: JointState | None
 ) -> Noise:
-    """Return the noise of all filters of the bank but a candidate."""
+    """Return the noise of all filters of the bank but the relocation hypothesis's."""
     layout, batch = model.layout, Q.shape[1:]
     noise = Noise(
         np.empty((len(Q), layout.steady.stop, *batch)),
         np.empty((len(R), layout.steady.stop, *batch)),
     )
-    noise.process[:, 0], noise.measurement[:, 0] = Q, R
+    noise.process[:, PUBLISHED_INDEX], noise.measurement[:, PUBLISHED_INDEX] = Q, R
     if joint is not None:
         write_noise(
             noise.filters(JOINT), joint.process_noise, joint.measurement_noise, joint.log_scale
@@ -265,18 +268,26 @@ def _noise_of_all(
         newer, first = noise.filters(layout.newer_forecasts), noise.filters(FORECAST)
         newer.process[...], newer.measurement[...] = first.process, first.measurement
     if model.suspects:
-        usual = noise_of_suspects(*usual_noise(model, Q, R, joint))
+        of_suspects = noise_of_suspects(*persistent_noise(model, Q, R, joint))
         suspects = noise.filters(layout.suspects)
-        suspects.process[...], suspects.measurement[...] = usual.process, usual.measurement
+        suspects.process[...] = of_suspects.process
+        suspects.measurement[...] = of_suspects.measurement
     return noise
 
 
-def usual_noise(
+def persistent_noise(
     model: FilterModel, Q: FloatArray, R: FloatArray, joint: JointState | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Q and R in use without what an alarm adds for a moment, and within the bounds."""
+    """Return Q and R without the temporary increase by alarms of mode joint, within the bounds.
+
+    Args:
+        model: has the bounds.
+        Q: `(2, *batch)` in use (m^2, rad^2).
+        R: `(4, *batch)` in use (m^2, m^2, rad^2, rad^2).
+        joint: the state of joint adaptation; None in the other modes, which have no alarms.
+    """
     bounds = model.adaptation.bounds
-    return bounds.within(Q, R) if joint is None else calm_noise(joint, bounds)
+    return bounds.within(Q, R) if joint is None else noise_without_alarms(joint, bounds)
 
 
 def _side_by_side(parts: Sequence[Noise]) -> Noise:
@@ -287,7 +298,7 @@ def _side_by_side(parts: Sequence[Noise]) -> Noise:
 
 
 def _at_pose(count: int, mean: FloatArray, covariance: FloatArray) -> Bank:
-    """Return so many filters at one pose."""
+    """Return a number of filters at one pose."""
     batch = mean.shape[1:]
     P = covariance.reshape(3, 3, *(1,) * (mean.ndim + 1 - covariance.ndim), *covariance.shape[2:])
     mean = np.concatenate([mean[:2], wrap_angle(mean[2:])])

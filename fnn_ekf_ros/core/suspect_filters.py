@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The suspects' filters in the bank."""
 
 import numpy as np
@@ -20,9 +23,9 @@ def suspects_after(
     Args:
         model: the filter.
         state: before the readings.
-        instant: these.
+        instant: the readings.
         published: the published filter after them.
-        scored: those that are scored.
+        scored: rows that are scored.
     """
     which, taken = model.layout.suspects, instant.taken
     predicted, counts = instant.predicted.filters(which), scored.some
@@ -30,10 +33,10 @@ def suspects_after(
         return predicted, state.lead
     likelihood = log_likelihood(taken.nis[which], taken.determinant[which], instant.rows.total)
     lead = lead_after(state.lead, likelihood, counts)
-    if counts.all() and not lead.any():  # as most of the time: all start again
+    if counts.all() and not lead.any():  # the usual case: all start again
         return published, lead
     suspects = taken.bank.filters(which)
-    if (taken.nis[which] > LARGEST_NIS).any():  # no sensor's is larger than all rows' together
+    if (taken.nis[which] > LARGEST_NIS).any():  # all rows' NIS is no less than a sensor's
         nis = [nis_by_sensor(instant.seen, taken, k) for k in range(which.start, which.stop)]
         suspects = correct_robustly(
             predicted,

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The window of the last N innovations and its mean square (Nguyen et al., eq. 13)."""
 
 from typing import NamedTuple
@@ -8,11 +11,11 @@ from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, BoolArray, FloatArray
 
 
 class InnovationWindow(NamedTuple):
-    """Squares of the last innovations, for each row its own last N.
+    """Squares of the last N innovations of each row.
 
     Attributes:
         squares: `(N, 4, *batch)` squared innovations (m^2, m^2, rad^2, rad^2), newest last.
-        counts: `(4, *batch)` how many of them are filled.
+        counts: `(4, *batch)` number of innovations in the window.
     """
 
     squares: FloatArray
@@ -20,7 +23,7 @@ class InnovationWindow(NamedTuple):
 
 
 def empty_window(length: int, batch: tuple[int, ...] = ()) -> InnovationWindow:
-    """Return a window for the last `length` innovations with nothing in it."""
+    """Return an empty window for the last `length` innovations."""
     return InnovationWindow(
         np.zeros((length, MEASUREMENT_SIZE, *batch)), np.zeros((MEASUREMENT_SIZE, *batch))
     )
@@ -29,12 +32,12 @@ def empty_window(length: int, batch: tuple[int, ...] = ()) -> InnovationWindow:
 def push(
     window: InnovationWindow, innovation: FloatArray, available: BoolArray
 ) -> InnovationWindow:
-    """Return the window with one more innovation in the rows that have one.
+    """Return the window with one more innovation in the measured rows.
 
     Args:
         window: the window so far; not changed.
         innovation: `(4, *batch)` r (m, m, rad, rad).
-        available: `(4, *batch)` which rows were measured; the others keep what they have.
+        available: `(4, *batch)` which rows were measured; the others are unchanged.
     """
     length = len(window.squares)
     shifted = np.concatenate([window.squares[1:], (innovation * innovation)[None]])

@@ -1,7 +1,10 @@
-"""Membership function files, read and written; the packaged ones are named without a path."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
 
-import reprlib
+"""Reading and writing of membership function files; packaged ones are named without a path."""
+
 from collections.abc import Sequence
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -9,17 +12,22 @@ from typing import Any
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork, Networks
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.files.fields import Fields
+from fnn_ekf_ros.files.text_files import read_text, write_text
+from fnn_ekf_ros.files.yaml_text import load_yaml
 from fnn_ekf_ros.parameters.localizer import SAME_FILE, LocalizerParameters
-from fnn_ekf_ros.parameters.schema import finite_number
-from fnn_ekf_ros.text_files import read_text, write_text
-from fnn_ekf_ros.yaml_text import load_yaml
 
 FORMAT_VERSION = 1
+"""Version of the file format that is written and read."""
 PACKAGED = ("initial", "published", "trained", "joint_initial", "joint")
+"""Names of the packaged files."""
 SMALLEST, LARGEST = 1e-15, 1e15
-"""Sizes of numbers that leave room for products of them."""
+"""Sizes of numbers whose products double precision can hold."""
+_SIZE = f"a number, 0 or between {SMALLEST:g} and {LARGEST:g} in size"
 REMEDY = "write it again with `train --out`"
+"""Advice in the messages of refusals."""
 _POSITIVE = ("position_unit", "yaw_unit", "change_limit")
+"""Keys of the file beside the sets, in the order in which they are written; all more than 0."""
 LETTERS = ("a1", "b1", "a2", "b2", "a3", "b3", "a4", "b4", "c1", "sigma1", "c2", "sigma2")
 """The paper's names of the parameters, in the order of `FuzzySets`."""
 _HEAD = """\
@@ -27,22 +35,22 @@ _HEAD = """\
 # 1/(1+exp(-slope*(x-center))); Z, M: Gaussians exp(-(x-center)^2/(2*width^2)).
 """
 MISMATCH = "C_hat - S in the units below"
-"""Argument of the paper's sets."""
+"""Argument of the paper's sets, as the head of a file names it."""
 EXPLAINED = "u in log variance"
-"""Argument of mode joint's sets: what the evidence asks for. They have no unit."""
+"""Argument of mode joint's sets, likewise; a log variance has no unit."""
 
 
 class MembershipError(FnnEkfError):
-    """A membership file that cannot be read or does not make sense."""
+    """A membership file that cannot be read or is not valid."""
 
 
 def networks_for(parameters: LocalizerParameters) -> Networks:
-    """Return the membership functions that a localizer is told to use.
+    """Return the membership functions of a localizer's parameters.
 
-    Those of all modes: a wrong name is refused in every mode.
+    Those of all modes are read, so that a wrong name is refused in every mode.
 
     Raises:
-        MembershipError: no such set or file, or a broken one.
+        MembershipError: a set or file does not exist or is not valid.
     """
     measurement = _of_the_paper("membership_file", parameters.membership_file)
     process = measurement
@@ -68,7 +76,7 @@ def _of_the_paper(parameter: str, name: str) -> FuzzyNetwork:
 
 
 def _without_unit(network: FuzzyNetwork) -> bool:
-    """Return whether the functions are of what evidence asks for, which has no unit."""
+    """Return whether the functions are of u, a log variance, which has no unit."""
     return network.position_unit == 1.0 and network.yaw_unit == 1.0
 
 
@@ -77,21 +85,31 @@ def read_membership(name: str, parameter: str = "membership_file") -> FuzzyNetwo
 
     Args:
         name: one of `PACKAGED`, or a path.
-        parameter: what names it, for refusals.
+        parameter: the parameter that has the name, for refusals.
 
     Raises:
-        MembershipError: no such set or file, or a broken one.
+        MembershipError: the set or file does not exist or is not valid.
     """
-    label = f"{parameter} '{name}'"
     if name in PACKAGED:
-        text = (resources.files(__package__) / f"{name}.yaml").read_text(encoding="utf-8")
-    else:
-        try:
-            text = read_text(Path(name), parameter, MembershipError)
-        except MembershipError as error:
-            raise MembershipError(
-                f"{error}; expected one of {', '.join(PACKAGED)}, or the path of a file"
-            ) from None
+        return _packaged(name)
+    try:
+        text = read_text(Path(name), parameter, MembershipError)
+    except MembershipError as error:
+        raise MembershipError(
+            f"{error}; expected one of {', '.join(PACKAGED)}, or the path of a file"
+        ) from None
+    return _read(text, f"{parameter} '{name}'")
+
+
+@lru_cache(maxsize=len(PACKAGED))
+def _packaged(name: str) -> FuzzyNetwork:
+    """Return a packaged set; a study asks for it with every filter that it makes."""
+    text = (resources.files(__package__) / f"{name}.yaml").read_text(encoding="utf-8")
+    return _read(text, f"packaged set '{name}'")
+
+
+def _read(text: str, label: str) -> FuzzyNetwork:
+    """Return the membership functions of a file's text; refusals begin with the label."""
     try:
         content = load_yaml(text, label, MembershipError)
     except MembershipError as error:
@@ -107,8 +125,8 @@ def write_membership(
     Args:
         path: the file.
         network: membership functions with their units.
-        notes: lines on where they come from.
-        argument: what the functions are functions of, `MISMATCH` or `EXPLAINED`.
+        notes: lines on their origin.
+        argument: argument of the functions, `MISMATCH` or `EXPLAINED`.
 
     Raises:
         FnnEkfError: the file cannot be written.
@@ -117,14 +135,14 @@ def write_membership(
 
 
 def render_membership(network: FuzzyNetwork, notes: Sequence[str], argument: str = MISMATCH) -> str:
-    """Return the text of a membership file; what is read from it is equal bit for bit.
+    """Return the text of a membership file; reading it gives the same numbers bit for bit.
 
-    The version comes last: a file that was cut short has none and is refused.
+    The version comes last, so that a truncated file has none and is refused.
 
     Args:
         network: membership functions with their units.
-        notes: lines on where they come from.
-        argument: what the functions are functions of, `MISMATCH` or `EXPLAINED`.
+        notes: lines on their origin.
+        argument: argument of the functions, `MISMATCH` or `EXPLAINED`.
     """
     without_unit = argument == EXPLAINED
     meanings = (
@@ -149,51 +167,26 @@ def render_membership(network: FuzzyNetwork, notes: Sequence[str], argument: str
 
 
 def _network(label: str, content: Any) -> FuzzyNetwork:
-    if not isinstance(content, dict) or "version" not in content:
-        raise MembershipError(
-            f"{label} has no version: it was cut short or is of another kind; {REMEDY}"
-        )
-    version = content["version"]
-    if type(version) is not int or version != FORMAT_VERSION:
-        newer = type(version) is int and version > FORMAT_VERSION
-        remedy = "update fnn_ekf_ros, or " if newer else ""
-        raise MembershipError(
-            f"{label} has version {reprlib.repr(version)}: expected "
-            f"{FORMAT_VERSION}; {remedy}{REMEDY}"
-        )
-    _check_keys(label, content, {"version", "sets", *_POSITIVE})
-    if not isinstance(content["sets"], dict):
-        raise MembershipError(f"{label}: expected 'sets' to hold parameters")
-    _check_keys(label, content["sets"], set(FuzzySets._fields))
-    values = {key: _number(label, key, content["sets"][key]) for key in FuzzySets._fields}
-    units = {key: _number(label, key, content[key]) for key in _POSITIVE}
-    for key, value in {**units, "zero_width": values["zero_width"]}.items():
-        if value <= 0.0:
-            raise MembershipError(f"{label}: {key} is {value:g}: expected more than 0")
+    fields = Fields(content, label, MembershipError, "membership functions", f"mend or {REMEDY}")
+    fields.version("version", FORMAT_VERSION)
+    keys = ("version", "sets", *_POSITIVE)
+    fields.check_keys(keys, dict.fromkeys(keys, "all of a membership file"))
+    sets = fields.section("sets", "the parameters of the sets")
+    sets.check_keys(FuzzySets._fields, dict.fromkeys(FuzzySets._fields, _SIZE))
+    values = {key: _number(sets, key) for key in FuzzySets._fields}
+    units = {key: _number(fields, key) for key in _POSITIVE}
+    for holder, key, number in (
+        *((fields, key, units[key]) for key in _POSITIVE),
+        (sets, "zero_width", values["zero_width"]),
+    ):
+        if number <= 0.0:
+            raise holder.refusal(key, "more than 0")
     if values["increase_slope"] == 0.0:
-        raise MembershipError(f"{label}: increase_slope is 0: it must not be")
+        raise sets.refusal("increase_slope", "another number than 0")
     if values["maintain_width"] < 0.0:
-        raise MembershipError(
-            f"{label}: maintain_width is {values['maintain_width']:g}: expected at least 0"
-        )
+        raise sets.refusal("maintain_width", "at least 0")
     return FuzzyNetwork(FuzzySets(**values), **units)
 
 
-def _check_keys(label: str, content: dict[Any, Any], expected: set[str]) -> None:
-    for word, keys in (
-        ("lacks", expected - content.keys()),
-        ("has unknown", content.keys() - expected),
-    ):
-        if keys:
-            listed = ", ".join(sorted(map(str, keys)))
-            raise MembershipError(f"{label} {word} {listed}; mend or {REMEDY}")
-
-
-def _number(label: str, key: str, value: Any) -> float:
-    number = finite_number(value)
-    if number is None or (number != 0.0 and not SMALLEST <= abs(number) <= LARGEST):
-        raise MembershipError(
-            f"{label}: {key} is {reprlib.repr(value)}: expected a number, 0 or "
-            f"between {SMALLEST:g} and {LARGEST:g} in size"
-        )
-    return number
+def _number(fields: Fields, key: str) -> float:
+    return fields.number(key, _SIZE, lambda n: n == 0.0 or SMALLEST <= abs(n) <= LARGEST)

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the ROS messages mean: into events, and out of estimates."""
 
 from fnn_ekf_ros.messages.names import (

@@ -1,10 +1,13 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Names and types of the topics, and what the numbers of `~/noise` are."""
 
 import re
 
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.evidence import SCALES
-from fnn_ekf_ros.core.joint import HYPOTHESES
+from fnn_ekf_ros.core.joint_state import HYPOTHESES
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 
 LEFT_TICKS = "left_ticks"
@@ -79,8 +82,8 @@ NOISE_FIELDS = (
 )
 """What each number of `~/noise` is; variances in m^2 and rad^2.
 
-NIS and degrees of freedom are summed over the readings of the period; what is told by row is told
-of its last reading.
+NIS and degrees of freedom are summed over the readings of the period; what is given by row is
+that of its last reading.
 
 The firing strengths by row are R's; in mode `joint` those of the four log scales, in their order;
 in mode `q`, which has none of R, Q's in the rows of x and compass yaw. Log scales and weights are

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """From messages to events; by attribute names, so rclpy's messages and bags' are read alike."""
 
 import math
@@ -18,9 +21,10 @@ from fnn_ekf_ros.messages.names import (
 )
 from fnn_ekf_ros.messages.writing import PLANAR
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.events import (
+from fnn_ekf_ros.timeline.events import (
     CompassYaw,
     Event,
+    InputCheck,
     PoseFix,
     PoseReset,
     Rejected,
@@ -28,7 +32,7 @@ from fnn_ekf_ros.pipeline.events import (
     Wheel,
     WheelCount,
 )
-from fnn_ekf_ros.pipeline.frames import Transform
+from fnn_ekf_ros.timeline.frames import Transform
 
 _TICKED = {LEFT_TICKS: Wheel.LEFT, RIGHT_TICKS: Wheel.RIGHT}
 _A_COVARIANCE = (
@@ -126,11 +130,16 @@ def _wheel_positions(message: Any, parameters: LocalizerParameters) -> list[Even
             continue  # joint_states is shared by everything on the robot that moves
         index = names.index(joint)
         if index >= len(message.position):
-            return Rejected(Sensor.ENCODERS, f"joint_states has no position for '{joint}'")
+            return Rejected(
+                Sensor.ENCODERS,
+                InputCheck.NO_POSITION,
+                f"joint_states has no position for '{joint}'",
+            )
         position = float(message.position[index])
         if not abs(position) < LARGEST_POSITION:
             return Rejected(
                 Sensor.ENCODERS,
+                InputCheck.JOINT_RANGE,
                 f"joint '{joint}' is at {position:g} rad, expected less than "
                 f"{LARGEST_POSITION:g} either way",
             )
@@ -143,7 +152,9 @@ def _compass_yaw(message: Any) -> list[Event] | Rejected:
         return []  # an IMU that says it has no orientation
     yaw = yaw_of(message.orientation)
     if yaw is None:
-        return Rejected(Sensor.COMPASS, _bad_quaternion(message.orientation))
+        return Rejected(
+            Sensor.COMPASS, InputCheck.ORIENTATION, _bad_quaternion(message.orientation)
+        )
     return [CompassYaw(stamp_ns(message), yaw)]
 
 
@@ -153,6 +164,7 @@ def _pose(
     if message.header.frame_id != parameters.frame_id:
         return Rejected(
             Sensor.LRF_POSE,
+            InputCheck.FRAME,
             f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}'",
         )
     pose = planar_pose(message)
@@ -160,11 +172,14 @@ def _pose(
     if not (abs(x) < LARGEST_POSITION and abs(y) < LARGEST_POSITION):
         return Rejected(
             Sensor.LRF_POSE,
+            InputCheck.POSITION_RANGE,
             f"{topic} at ({x:g}, {y:g}) m, expected less than {LARGEST_POSITION:g} m either way",
         )
     if math.isnan(yaw) and (topic == INITIAL_POSE or parameters.lrf_use_yaw):
         return Rejected(
-            Sensor.LRF_POSE, f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}"
+            Sensor.LRF_POSE,
+            InputCheck.ORIENTATION,
+            f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}",
         )
     covariance = planar_block(message.pose.covariance)
     if topic == INITIAL_POSE:
@@ -179,6 +194,7 @@ def _pose(
             shown = ", ".join(f"{value:g}" for value in np.diag(used))
             return Rejected(
                 Sensor.LRF_POSE,
+                InputCheck.COVARIANCE,
                 f"lrf_pose has the covariance diagonal [{shown}], expected "
                 f"{_A_COVARIANCE} (lrf_use_message_covariance is true)",
             )
@@ -203,6 +219,7 @@ def _pose_reset(
         shown = ", ".join(f"{value:g}" for value in np.diag(covariance))
         return Rejected(
             Sensor.LRF_POSE,
+            InputCheck.COVARIANCE,
             f"{INITIAL_POSE} has the covariance diagonal [{shown}], expected {_A_COVARIANCE}, or 0 "
             "on its diagonal for initial_pose_std",
         )

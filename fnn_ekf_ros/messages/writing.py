@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """From estimates to messages: trees of type names and fields, which rclpy and bags build from."""
 
 import math
@@ -7,7 +10,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.evidence import SCALES
-from fnn_ekf_ros.core.joint import HYPOTHESES
+from fnn_ekf_ros.core.joint_state import HYPOTHESES
 from fnn_ekf_ros.messages.names import (
     COMPASS_TYPE,
     DIAGNOSTICS_TYPE,
@@ -22,11 +25,11 @@ from fnn_ekf_ros.messages.names import (
     TF_TYPE,
     TWIST_TYPE,
 )
-from fnn_ekf_ros.pipeline.events import Estimate, Status
+from fnn_ekf_ros.timeline.events import Estimate, Status
 
 UNUSED_VARIANCE = 1e-9
 """Variance published for what a planar robot does not do: z, roll, pitch, sideways."""
-_BELIEFS = len(SCALES) + len(HYPOTHESES)
+_JOINT_NUMBERS = len(SCALES) + len(HYPOTHESES)
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 """Where x, y and yaw stand in a 6x6 covariance."""
 
@@ -66,7 +69,7 @@ _NOISE_LAYOUT = Message(
 
 def odometry(estimate: Estimate, frame_id: str, base_frame: str) -> Message:
     """Return the nav_msgs/Odometry of an estimate."""
-    forward, turn = estimate.twist_variance
+    linear, angular = estimate.twist_variance
     return odometry_message(
         estimate.stamp_ns,
         frame_id,
@@ -74,7 +77,7 @@ def odometry(estimate: Estimate, frame_id: str, base_frame: str) -> Message:
         estimate.state.mean,
         estimate.twist,
         planar_covariance(estimate.state.covariance),
-        planar_covariance(np.diag([forward, UNUSED_VARIANCE, turn])),
+        planar_covariance(np.diag([linear, UNUSED_VARIANCE, angular])),
     )
 
 
@@ -180,8 +183,8 @@ def noise(estimate: Estimate) -> Message:
             *result.mismatch,
             *np.ravel(result.firing_strength.T),
         ]
-        belief = result.joint
-        data += [0.0] * _BELIEFS if belief is None else [*belief.log_scale, *belief.weights]
+        joint = result.joint
+        data += [0.0] * _JOINT_NUMBERS if joint is None else [*joint.log_scale, *joint.weights]
         data += [*result.sensor_nis, *result.rejected, result.relocated]
         data += [*np.ravel(result.process_firing_strength.T)]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
@@ -218,7 +221,7 @@ def estimate_messages(estimate: Estimate, frame_id: str, base_frame: str) -> dic
 
 
 def diagnostics(stamp_ns: int, node_name: str, statuses: tuple[Status, ...]) -> Message:
-    """Return the diagnostic_msgs/DiagnosticArray of a health report."""
+    """Return the diagnostic_msgs/DiagnosticArray of the statuses of a report."""
     return Message(
         DIAGNOSTICS_TYPE,
         {
@@ -229,7 +232,7 @@ def diagnostics(stamp_ns: int, node_name: str, statuses: tuple[Status, ...]) -> 
                     {
                         "level": int(status.level),
                         "name": f"{node_name}: {status.name}",
-                        "message": status.message,
+                        "message": str(status.message),
                         "hardware_id": node_name,
                         "values": [
                             Message("diagnostic_msgs/msg/KeyValue", {"key": key, "value": value})
@@ -275,7 +278,7 @@ def pose_with_covariance(pose: FloatArray, covariance: FloatArray) -> Message:
 
 
 def quaternion(yaw: float) -> Message:
-    """Return the geometry_msgs/Quaternion of a turn about z [rad]; all zero for NaN, no yaw."""
+    """Return the geometry_msgs/Quaternion of a rotation about z [rad]; all zero for NaN, no yaw."""
     if math.isnan(yaw):
         return Message("geometry_msgs/msg/Quaternion", dict.fromkeys("xyzw", 0.0))
     return Message(

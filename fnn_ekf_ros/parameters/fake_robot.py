@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The parameters of `fake_robot` and `simulate`."""
 
 import math
@@ -15,6 +18,7 @@ from fnn_ekf_ros.parameters.paper import (
 from fnn_ekf_ros.parameters.schema import NO_FILE, Parameters, parameter
 
 NODE_NAME = "fake_robot"
+"""The node's name, which parameter files have as their section."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +112,8 @@ class FakeRobotParameters(Parameters):
     # Noise
     slip_std: tuple[float, float] = parameter(
         (math.nan, math.nan),
-        "Motion the encoders do not see, per 375 ms: way, turn; .nan: [0.02, 0.01745] on path "
-        "sim1, [0.05, 0.05236] on the others.",
+        "Motion the encoders do not see, per 375 ms: distance, rotation; .nan: [0.02, 0.01745] on "
+        "path sim1, [0.05, 0.05236] on the others.",
         "[m, rad]",
         at_least=0.0,
         at_most=1e3,

@@ -1,12 +1,18 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Timelines of faults: YAML lists that become checked values, and the vocabulary as a table."""
 
 import itertools
 import math
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fnn_ekf_ros.files.fields import Fields
+from fnn_ekf_ros.files.text_files import read_text
+from fnn_ekf_ros.files.yaml_text import load_yaml
 from fnn_ekf_ros.parameters.faults import FAULTS, GROUPS, NAMES, TO_THE_END_S, Fault
 from fnn_ekf_ros.parameters.schema import (
     NO_FILE,
@@ -15,12 +21,10 @@ from fnn_ekf_ros.parameters.schema import (
     Spec,
     build,
     fields_of,
-    suggestion,
 )
-from fnn_ekf_ros.text_files import read_text
-from fnn_ekf_ros.yaml_text import load_yaml
 
 EXAMPLE = "{fault: dropout, topic: compass, start: 60.0, duration: 5.0}"
+"""An entry of a timeline, for error messages."""
 
 
 class FaultError(ParameterError):
@@ -97,31 +101,14 @@ def vocabulary_table() -> str:
 
 
 def _fault(entry: Any, where: str) -> Fault:
-    if not isinstance(entry, dict):
-        raise FaultError(f"{where} is {reprlib.repr(entry)}: expected keys, such as {EXAMPLE}")
-    if "fault" not in entry:
-        raise FaultError(f"{where} has no 'fault': expected keys, such as {EXAMPLE}")
-    name = entry["fault"]
-    kind = FAULTS.get(name) if isinstance(name, str) else None
-    if kind is None:
-        raise FaultError(
-            f"{where}: 'fault' is {reprlib.repr(name)}{suggestion(str(name), list(FAULTS))}"
-        )
+    keys_of_a_fault = f"the keys of a fault, such as {EXAMPLE}"
+    name = Fields(entry, where, FaultError, keys_of_a_fault).choice("fault", FAULTS)
+    kind = FAULTS[name]
     where = f"{where} ({name})"
     values = {key: value for key, value in entry.items() if key != "fault"}
-    keys = {key: spec for key, spec, _ in fields_of(kind)}
-    for key in values:
-        if key not in keys:
-            raise FaultError(
-                f"{where}: unknown key {reprlib.repr(key)}{suggestion(str(key), list(keys))}"
-            )
-    for key, spec in keys.items():
-        if spec.required and key not in values:
-            raise FaultError(f"{where} has no '{key}': expected {_expected(spec)}")
-    return _built(kind, values, where)
-
-
-def _built(kind: type[Fault], values: Mapping[str, Any], where: str) -> Fault:
+    specs = {key: spec for key, spec, _ in fields_of(kind)}
+    required = {key: _expected(spec) for key, spec in specs.items() if spec.required}
+    Fields(values, where, FaultError, keys_of_a_fault).check_keys(specs, required)
     try:
         return build(kind, values)
     except ParameterError as error:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The faults of the simulated robot: each a parameter set of its own that validates itself.
 
 All of them have a `start`. What lasts has a `duration`; what does not happens once, at `start`.
@@ -11,16 +14,22 @@ from typing import Any
 from fnn_ekf_ros.parameters.schema import Parameters, parameter, refusal
 
 WHEELS = ("left", "right")
+"""Wheels that a fault can concern, beside `both`."""
 COUNTERS = ("left_ticks", "right_ticks")
+"""Topics of the encoders that carry no stamp."""
 JOINTS = ("joint_states",)
+"""Topics of the encoders that carry a stamp."""
 FIXES = ("compass", "lrf_pose")
+"""Topics of the sensors that measure the pose or a part of it."""
 STAMPED = (*JOINTS, *FIXES)
+"""Topics whose messages carry a stamp."""
 TOPICS = (*COUNTERS, *STAMPED)
+"""Topics that a fault of the delivery can concern."""
 
 SHORTEST_S = 0.0125
-"""A fault lasts a step of the simulation at least [s]."""
+"""Smallest duration of a fault, one step of the simulation [s]."""
 TO_THE_END_S = 1e9
-"""The duration of a fault that never ends [s]."""
+"""Duration that stands for a fault that lasts to the end of the run [s]."""
 
 
 def _duration() -> Any:
@@ -74,7 +83,7 @@ class Slip(Fault):
     factor: float = parameter(3.0, "Slip over slip_std.", at_least=0.0, at_most=1e3)
     std: tuple[float, float] = parameter(
         (math.nan, math.nan),
-        "Instead of factor: slip per 375 ms in way and turn.",
+        "Instead of factor: slip per 375 ms in distance and rotation.",
         "[m, rad]",
         at_least=0.0,
         at_most=1e3,
@@ -82,7 +91,7 @@ class Slip(Fault):
     )
 
     def check(self) -> None:
-        """Refuse both ways of saying how much."""
+        """Refuse `factor` and `std` together."""
         if self.factor != 3.0 and not math.isnan(self.std[0]):
             raise refusal("factor", self.factor, "factor or std, not both")
 
@@ -112,7 +121,7 @@ class Kidnap(Fault):
 
 @dataclass(frozen=True, slots=True)
 class StuckWheel(Fault):
-    """Counts stand still while the wheel turns, and go on from there afterwards."""
+    """The counts stand still while the wheel turns, and go on from there after the fault."""
 
     wheel: str = _wheel(*WHEELS, "both")
     duration: float = _duration()
@@ -136,7 +145,7 @@ class TickReset(Fault):
 
 @dataclass(frozen=True, slots=True)
 class TickGlitch(Fault):
-    """A single reading of the counter is wild."""
+    """A single reading of the counter is wrong by `size`."""
 
     wheel: str = _wheel(*WHEELS, "both")
     size: int = parameter(
@@ -352,7 +361,9 @@ GROUPS: dict[str, dict[str, type[Fault]]] = {
     },
     "Clock": {"clock_jump": ClockJump},
 }
-"""The faults by their names in a timeline, grouped by what they touch."""
+"""The faults by their names in a timeline, grouped by what they act on."""
 
 FAULTS = {name: kind for group in GROUPS.values() for name, kind in group.items()}
+"""The faults by their names in a timeline."""
 NAMES = {kind: name for name, kind in FAULTS.items()}
+"""The names in a timeline by fault."""

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameter files in ROS form, and `-p name:=value` as ROS writes it."""
 
 import json
@@ -5,12 +8,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from fnn_ekf_ros.files.yaml_text import load_yaml, read_yaml
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, fields_of
-from fnn_ekf_ros.text_files import read_text
-from fnn_ekf_ros.yaml_text import load_yaml
 
 _MISREAD = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
-"""Words that mean something else in YAML."""
+"""Words that YAML reads as truth values or as nothing, so that they are written in quotes."""
 
 
 def read_parameter_file(path: Path, node_name: str) -> dict[str, Any]:
@@ -23,8 +25,7 @@ def read_parameter_file(path: Path, node_name: str) -> dict[str, Any]:
     Raises:
         ParameterError: the file cannot be read or is not in ROS form.
     """
-    text = read_text(path, "parameter file", ParameterError)
-    content = load_yaml(text, f"parameter file '{path}'", ParameterError)
+    content = read_yaml(path, "parameter file", ParameterError)
     form = f"'/**/{node_name}:', under it 'ros__parameters:', under it the parameters"
     if not isinstance(content, dict):
         raise ParameterError(f"parameter file '{path}' holds no sections: expected {form}")

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The parameters of `localizer` and `replay`."""
 
 import math
@@ -11,15 +14,19 @@ from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_2_STD, YAW_
 from fnn_ekf_ros.parameters.schema import NO_FILE, ParameterError, Parameters, parameter, refusal
 
 NODE_NAME = "localizer"
+"""The node's name, which parameter files have as their section."""
 MOST_PERIODS_KEPT = 500
-"""So many states are kept at the most, to go back to; running them again takes half a second."""
+"""Largest number of states kept to go back to for late inputs: running so many periods again takes
+half a second."""
 GATE = 1e-6
-"""One correct measurement in a million is rejected: about five standard deviations."""
+"""Default of the gates: the probability with which a correct reading is rejected, one in a million,
+about five standard deviations."""
 NO_FRAME = "none"
-"""The word for a frame that is not there."""
+"""Value of a frame parameter for no frame."""
 SAME_FILE = "same"
-"""The word for a file that is another parameter's."""
+"""Value of a file parameter for another parameter's file."""
 NOT_SET = (math.nan, math.nan, math.nan)
+"""Value of `initial_pose` for no pose (m, m, rad)."""
 
 
 @dataclass(frozen=True, slots=True)

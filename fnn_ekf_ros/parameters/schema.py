@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameter sets as frozen dataclasses that validate themselves.
 
 A field carries its default and a `Spec`: unit, limits, the sentence for the user. From it come
@@ -12,12 +15,13 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.files.fields import as_number, suggestion
 
 ALWAYS_ALLOWED = ("use_sim_time", "start_type_description_service")
-"""Parameters every ROS node has; `qos_overrides.*` is allowed as well."""
+"""Parameters that every ROS node has; `qos_overrides.*` is allowed as well."""
 
 NO_FILE = "none"
-"""The word for a file that is not there."""
+"""Value of a file parameter for no file."""
 
 ParameterValue = bool | int | float | str | tuple[float, ...]
 ParametersT = TypeVar("ParametersT", bound="Parameters")
@@ -70,7 +74,7 @@ class Parameters:
     """Base of the parameter sets: checks every field against its `Spec` when it is made."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields (an integer where a float belongs becomes a float).
+        """Check and normalize the fields (an integer where a float belongs becomes a float).
 
         Raises:
             ParameterError: a value has the wrong type or is out of range.
@@ -127,14 +131,6 @@ def refusal(name: str, value: object, expected: str) -> ParameterError:
     return ParameterError(f"parameter '{name}' is {shown}: expected {expected}")
 
 
-def suggestion(name: str, known: list[str]) -> str:
-    """Return the end of a refusal: the known name that was meant, or all of them."""
-    import difflib
-
-    close = difflib.get_close_matches(name, known, n=1)
-    return f": did you mean '{close[0]}'?" if close else f": expected one of {', '.join(known)}"
-
-
 def _checked(name: str, spec: Spec, default: ParameterValue, value: Any) -> ParameterValue:
     if isinstance(default, bool):
         if not isinstance(value, bool):
@@ -161,7 +157,7 @@ def _checked_list(name: str, spec: Spec, length: int, value: Any) -> tuple[float
     expected = f"a list of {length} numbers" + (f" {spec.unit}" if spec.unit else "")
     if not isinstance(value, list | tuple) or len(value) != length:
         raise refusal(name, value, expected)
-    numbers = [_number(entry) for entry in value]
+    numbers = [as_number(entry) for entry in value]
     if any(number is None for number in numbers):
         raise refusal(name, value, expected)
     checked = tuple(float(number) for number in numbers if number is not None)
@@ -177,7 +173,7 @@ def _checked_list(name: str, spec: Spec, length: int, value: Any) -> tuple[float
 def _checked_number(name: str, spec: Spec, value: Any, *, whole: bool) -> int | float:
     kind = "a whole number" if whole else "a number"
     expected = " ".join(filter(None, [kind, spec.limits, f"[{spec.unit}]" if spec.unit else ""]))
-    number = _number(value)
+    number = as_number(value)
     if number is None or (whole and not number.is_integer()):
         raise refusal(name, value, expected)
     if not _inside(spec, number):
@@ -188,22 +184,6 @@ def _checked_number(name: str, spec: Spec, value: Any, *, whole: bool) -> int | 
             )
         raise refusal(name, value, expected)
     return int(number) if whole else float(number)
-
-
-def finite_number(value: Any) -> float | None:
-    """Return a finite number as a float; None for anything else."""
-    number = _number(value)
-    return number if number is not None and math.isfinite(number) else None
-
-
-def _number(value: Any) -> float | None:
-    """Return the value as a float; None if it is no number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
 
 
 def _inside(spec: Spec, number: float) -> bool:

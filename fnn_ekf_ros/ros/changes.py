@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters that change while a node runs: checked as at its start, whole or not at all."""
 
 import dataclasses
@@ -24,7 +27,7 @@ class Changes(Generic[ParametersT, PreparedT]):
         node: its parameters are declared.
         parameters: what they are now.
         prepare: makes what new parameters need; what it raises refuses them.
-        apply: is told of new parameters and of what was prepared for them.
+        apply: gets the new parameters and what was prepared for them.
     """
 
     def __init__(

@@ -1,4 +1,7 @@
-"""The callback group of a node that one thread spins: waiting for events costs time.
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The callback group of a node with one thread: it seldom waits for events, which costs time.
 
 rclpy warns of publishers and subscriptions whose QoS or type does not fit, by two events of each
 endpoint. It waits for all of them whenever it waits for a message, which takes a localizer more
@@ -13,9 +16,10 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import EventHandler
 
 EVENT_INTERVAL_S = 5.0
-"""Events of the middleware are waited for in the first part of each of these intervals [s]."""
+"""Interval at whose begin a node waits for events of the middleware [s]: a warning of a QoS that
+does not fit may come that late."""
 EVENT_WINDOW_S = 0.25
-"""That part [s]; a node waits at least once in it, as it looks for signals more often."""
+"""Part of each interval in which it waits for events [s]: longer than a single wait of a node."""
 
 
 class EventGroup(CallbackGroup):  # type: ignore[misc]
@@ -32,4 +36,4 @@ class EventGroup(CallbackGroup):  # type: ignore[misc]
         return True
 
     def ending_execution(self, entity: Any) -> None:
-        """Take note that an entity was executed: nothing waits for that."""
+        """Do nothing: no entity waits for the end of another one."""

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The `fake_robot` node: the simulated hardware on real topics."""
 
 import argparse
@@ -28,15 +31,18 @@ from rclpy.node import Node  # isort: skip
 from rclpy.qos import QoSProfile  # isort: skip
 
 OUTPUT_QOS = QoSProfile(depth=100)
+"""QoS of what the robot sends: deep enough for a portion of steps."""
 LARGEST_JUMP_NS = 5 * 10**9
-"""A clock that is further away has jumped [ns]."""
+"""Largest lead of the clock over the robot [ns]; with a larger difference the clock has jumped."""
 MOST_STEPS_AT_ONCE = 400
-"""A robot that has fallen behind its clock catches up in portions, so that it stays responsive."""
+"""Largest number of steps at once, 5 s: a robot that is behind its clock catches up in portions, so
+that the node stays responsive."""
 CLOCK_INTERVAL_NS = 4 * STEP_NS
-"""A clock of its own is published with all that is sent, and this often otherwise [ns]."""
+"""Longest time between two messages of the robot's own clock [ns]; it is also published with all
+that is sent."""
 MOST_TICKS_BEHIND = 4.0
-"""A clock of its own goes slower than asked where the machine is too busy: so many ticks of the
-timer ahead of the robot, it waits for it."""
+"""Largest lead of the robot's own clock over the robot [ticks of the timer]: on a busy machine the
+clock waits, and so runs slower than asked."""
 
 
 class FakeRobotNode(Node):  # type: ignore[misc]

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The stamps of what another node publishes, for a player that keeps pace with it."""
 
 import time
@@ -12,11 +15,12 @@ from fnn_ekf_ros.ros.build import message_class
 from fnn_ekf_ros.stopping import STOPPED
 
 QUEUE_DEPTH = 1000
+"""Depth of the queue of the topic that is listened to [messages]."""
 HEADER = "std_msgs/Header"
 
 
 class StampListener:
-    """Hears the header stamps of a topic of another node, whatever its type.
+    """Receives the header stamps of a topic of another node, whatever its type.
 
     Args:
         node: gets the subscription, and is spun by `next_ns`.

@@ -1,4 +1,7 @@
-"""The `localizer` node: messages into the pipeline, its estimates out."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The `localizer` node: messages into the localizer, its estimates out."""
 
 import argparse
 import copy
@@ -10,17 +13,16 @@ from typing import Any
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.adaptation import Networks
+from fnn_ekf_ros.diagnostics.messages import FilterMessage
+from fnn_ekf_ros.localizer.localizer import Localizer
+from fnn_ekf_ros.localizer.outputs import output_messages
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.pipeline.events import Level, Output, Rejected, Status
-from fnn_ekf_ros.pipeline.filter_health import move_in_words
-from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.event_group import EventGroup
 from fnn_ekf_ros.ros.level_changes import LevelChanges
-from fnn_ekf_ros.ros.memory import Memory
 from fnn_ekf_ros.ros.pace import LOOKS_PER_PERIOD, Pace
 from fnn_ekf_ros.ros.runtime import (
     LOG_INTERVAL_S,
@@ -30,7 +32,9 @@ from fnn_ekf_ros.ros.runtime import (
     ros_started,
     spin_until_stopped,
 )
+from fnn_ekf_ros.ros.state_keeper import StateKeeper
 from fnn_ekf_ros.ros.transforms import Transforms
+from fnn_ekf_ros.timeline.events import Level, Output, Rejected, Status
 
 from rclpy.node import Node  # isort: skip  (runtime explains it if ROS is not here)
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # isort: skip
@@ -40,17 +44,18 @@ from std_srvs.srv import SetBool, Trigger  # isort: skip
 INPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Best effort as for sensor data, but deep enough for a burst of a second of fast encoders."""
 OUTPUT_QOS = QoSProfile(depth=10)
+"""QoS of what the localizer sends; a subscriber may lag behind by ten periods."""
 
 
 class LocalizerNode(Node):  # type: ignore[misc]
-    """Feeds a `Pipeline` from topics and publishes what comes out.
+    """Feeds a `Localizer` from topics and publishes what comes out.
 
     Args:
         parameters: checked.
         networks: the membership functions.
 
     Attributes:
-        pipeline: the localizer proper.
+        localizer: the localizer proper.
     """
 
     def __init__(self, parameters: LocalizerParameters, networks: Networks) -> None:
@@ -59,9 +64,9 @@ class LocalizerNode(Node):  # type: ignore[misc]
         declare(self, LocalizerParameters)
         self._settings = parameters
         self._transforms = Transforms(self, parameters) if parameters.publish_tf else None
-        self._memory = Memory(self, parameters)
-        self.pipeline = Pipeline(parameters, networks, warm_start=self._memory.warm_start)
-        self._pace = Pace(self, parameters.period, self.pipeline.overran)
+        self._state_keeper = StateKeeper(self, parameters)
+        self.localizer = Localizer(parameters, networks, warm_start=self._state_keeper.warm_start)
+        self._pace = Pace(self, parameters.period, self.localizer.overran)
         self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
@@ -87,7 +92,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
         self.create_timer(parameters.period / LOOKS_PER_PERIOD, self._look_at_clock)
-        self._memory.write_regularly(self.pipeline.saved)
+        self._state_keeper.write_regularly(self.localizer.saved)
         self.get_logger().info(
             f"adaptation {parameters.adaptation}, odom every {parameters.period:g} s in "
             f"{parameters.frame_id}"
@@ -100,8 +105,8 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     def destroy_node(self) -> None:
         """Keep the state and leave ROS."""
-        self._memory.write(self.pipeline.saved())
-        self._memory.close()
+        self._state_keeper.write(self.localizer.saved())
+        self._state_keeper.close()
         super().destroy_node()
 
     def _now_ns(self) -> int:
@@ -115,43 +120,35 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 f"{topic} before the first /clock is dropped", throttle_duration_sec=LOG_INTERVAL_S
             )
             return
-        events = messages.read_input(topic, message, now_ns, self._settings)
-        if isinstance(events, Rejected):
-            self.pipeline.reject(events)
-            self._log_refusal(topic, events)
-            events = []
-        outputs = [output for event in events for output in self.pipeline.add(event, now_ns)]
-        outputs += self.pipeline.advance(now_ns)
-        self._publish(outputs)
-        if outputs:
+        received = self.localizer.receive(topic, message, now_ns)
+        if received.rejected is not None:
+            self._log_refusal(topic, received.rejected)
+        self._publish(received.outputs)
+        if received.outputs:
             self._pace.waited(info["received_timestamp"])
 
     def _look_at_clock(self) -> None:
         now_ns = self._now_ns()
         if now_ns > 0:
-            self._publish(self.pipeline.advance(now_ns))
+            self._publish(self.localizer.advance(now_ns))
 
     def _publish(self, outputs: Sequence[Output]) -> None:
         for output in outputs:
-            if output.estimate is not None:
-                made = messages.estimate_messages(
-                    output.estimate, self._settings.frame_id, self._settings.base_frame
-                )
-                for topic, message in made.items():
-                    self._outputs[topic].publish(build_message(message))
-                if self._transforms is not None:
-                    self._transforms.located(output.estimate)
             if output.moved is not None:
-                at_s = output.moved.stamp_ns * 1e-9
-                self.get_logger().warning(f"at {at_s:.1f} s {move_in_words(output.moved)}")
-            if output.health is not None:
-                health = output.health
-                if self._transforms is not None:
-                    health = (*health, self._transforms.status())
-                self._log_changes(health)
-                name = self.get_fully_qualified_name().lstrip("/")
-                diagnostics = messages.diagnostics(output.stamp_ns, name, health)
-                self._outputs[messages.DIAGNOSTICS].publish(build_message(diagnostics))
+                moved = output.moved
+                self.get_logger().warning(
+                    f"at {moved.stamp_ns * 1e-9:.1f} s {FilterMessage.MOVED} "
+                    f"(distance {moved.distance:.1f} m, rotation {moved.rotation:.2f} rad)"
+                )
+            if self._transforms is not None and output.estimate is not None:
+                self._transforms.located(output.estimate)
+            more = [self._transforms.status()] if self._transforms is not None else []
+            if output.statuses is not None:
+                self._log_changes([*output.statuses, *more])
+            name = self.get_fully_qualified_name().lstrip("/")
+            made = output_messages(output, self._settings, name, more)
+            for topic, content in made.items():
+                self._outputs[topic].publish(build_message(content))
 
     def _log_refusal(self, topic: str, rejected: Rejected) -> None:
         """Log a refused message, of each topic once in a while."""
@@ -180,10 +177,10 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     def _change(self, parameters: LocalizerParameters, networks: Networks) -> None:
         self._settings = parameters
-        self.pipeline.change(parameters, networks)
+        self.localizer.change(parameters, networks)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.pipeline.reset()
+        self.localizer.reset()
         response.success = True
         response.message = "pose and adapted noise are forgotten; waiting for the start"
         self.get_logger().info(response.message)
@@ -193,7 +190,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         mode = self._settings.adaptation
-        self.pipeline.enable_adaptation(request.data)
+        self.localizer.enable_adaptation(request.data)
         response.success = not (request.data and mode == "none")
         if not request.data:
             response.message = "the noise is held where it is"

@@ -1,4 +1,7 @@
-"""Whether a node keeps pace: what it does with a message or a timer must not take a period."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether a node keeps pace: the work for a message or a timer must take less than a period."""
 
 import time
 from collections.abc import Callable
@@ -7,15 +10,15 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 LOOKS_PER_PERIOD = 4
-"""Timers of a node look so many times a period: at the clock, to close periods that wait for the
-wheels, and at whether anything keeps the node busy."""
+"""Rate of a node's timers [1 / period]: they read the clock, to close periods that wait for the
+wheels, and detect that the node was busy."""
 
 
 class Pace:
-    """Tells of every time that a node was late by more than a period, in wall time.
+    """Reports each time that a node was late by more than a period, in wall time.
 
     Args:
-        node: a timer of its own shows whether anything keeps it busy.
+        node: gets a timer, whose delay shows that the node was busy.
         period_s: a period [s].
         late: is called with the delay [s].
     """
@@ -27,10 +30,10 @@ class Pace:
         node.create_timer(period_s / LOOKS_PER_PERIOD, self._look, clock=steady)
 
     def waited(self, received_ns: int) -> None:
-        """Tell of a message that closed a period, if it had waited too long.
+        """Report a message that closed a period, if it had waited for more than a period.
 
         Args:
-            received_ns: system time at which it had reached the process [ns].
+            received_ns: system time at which it reached the process [ns].
         """
         waited_s = (time.time_ns() - received_ns) * 1e-9
         if received_ns > 0 and waited_s > self._period_s:

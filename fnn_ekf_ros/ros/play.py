@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`play BAG`: publishes a recorded bag where `ros2 bag` is not installed."""
 
 import argparse
@@ -9,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.bag_files import BagError, BagReader, Topic
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Topic
+from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import ros_started
 from fnn_ekf_ros.ros.timetable import Timetable
 from fnn_ekf_ros.stopping import STOPPED
-from fnn_ekf_ros.tools.progress import with_progress
 
 from rclpy.duration import Duration  # isort: skip  (runtime explains it if ROS is not here)
 from fnn_ekf_ros.ros.listener import StampListener  # isort: skip
@@ -24,19 +27,24 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # isort: 
 
 NODE_NAME = "player"
 QUEUE_DEPTH = 1000
+"""Depth of the queue of each topic [messages]."""
 LONGEST_SLEEP_S = 0.1
+"""Longest sleep between two checks for signals [s]."""
 DELIVERY_PATIENCE_S = 5.0
-"""A subscriber that does not take its messages is waited for at the end no longer [s]."""
+"""Longest wait at the end for a subscriber that does not take its messages [s]."""
 DEFAULT_LEAD_S = 0.7
-"""The longest lead with --keep-pace-with [s].
+"""Default of the largest lead with --keep-pace-with [s].
 
-The localizer publishes a period (0.375 s) when it has heard the wheels once after its end, so the
-lead has to be longer than that and the wheels' interval. It closes a period without the wheels
-0.5 s after its end, whatever still waits in its queues: less than 0.875 s.
+The localizer publishes a period (0.375 s) after the first reading of the wheels after its end, so
+the lead has to be longer than a period and the interval of the wheels. It closes a period without
+the wheels 0.5 s after its end, whatever still waits in its queues: the lead has to be shorter than
+0.875 s.
 """
 DEFAULT_PATIENCE_S = 30.0
+"""Default of the longest wait for the other node with --keep-pace-with [s]."""
 CLOCK_INTERVAL_NS = 10_000_000
-"""With --clock, time is published with every message, and this often where there is none [ns]."""
+"""Longest time between two messages of /clock with --clock [ns]; there is also one with every
+message."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recording of live topics into a bag, as they come over the wire."""
 
 from collections.abc import Mapping
@@ -10,7 +13,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from fnn_ekf_ros.bag_files import BagWriter, Record
+from fnn_ekf_ros.recordings.bag_files import Record
+from fnn_ekf_ros.recordings.bag_writer import BagWriter
 from fnn_ekf_ros.ros.build import message_class
 
 QUEUE_DEPTH = 1000

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What every node of the package does the same way: start, parameters, spin, stop."""
 
 import itertools
@@ -53,7 +56,7 @@ def check_ros_arguments(argv: Sequence[str], node_name: str) -> None:
 
 @contextmanager
 def ros_started(argv: Sequence[str], node_name: str) -> Iterator[None]:
-    """Initialise rclpy with ROS arguments; shut it down at the end.
+    """Initialize rclpy with ROS arguments; shut it down at the end.
 
     Raises:
         FnnEkfError: rclpy refuses the arguments.

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """When the messages of a recording are due."""
 
 import math
@@ -6,15 +9,15 @@ from collections.abc import Callable
 
 
 class Timetable:
-    """Plays at a rate, and never far ahead of a listener that is kept pace with.
+    """Plays at a rate, and never further ahead of a listener than a lead.
 
-    Until something is heard of the listener, the rate is 1 at most: nothing tells yet whether it
-    keeps up. Time that was spent waiting for it is not made up for afterwards.
+    Until the listener's first stamp, the rate is at most 1, because it is not known yet whether it
+    keeps up. Time that was spent waiting for it is not made up for later.
 
     Args:
         rate: times real time, at most.
-        lead_ns: how far playing may be ahead of the newest stamp heard of the listener [ns]; None:
-            nobody is listened to.
+        lead_ns: largest lead over the newest stamp of the listener [ns]; None: there is no
+            listener.
         now_s: returns a steady wall time [s].
     """
 
@@ -25,19 +28,19 @@ class Timetable:
         self.start(0)
 
     def start(self, first_ns: int) -> None:
-        """Begin the recording at the time of its first message [ns]; nothing is heard yet."""
+        """Begin the recording at the time of its first message [ns]; no stamp is known yet."""
         self.played_ns = first_ns
         self.heard_ns: int | None = None
         self._anchor()
 
     def played(self, time_ns: int) -> None:
-        """Tell that everything up to a time [ns] has been played."""
+        """Record that everything up to a time [ns] has been played."""
         self.played_ns = time_ns
 
     def heard(self, stamp_ns: int) -> bool:
         """Take a stamp [ns] of the listener; return whether it is new.
 
-        A stamp ahead of what was played comes from before the recording began again.
+        A stamp after what was played dates from before the recording was started again.
         """
         if stamp_ns > self.played_ns or stamp_ns <= (self.heard_ns or 0):
             return False

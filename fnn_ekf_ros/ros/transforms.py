@@ -1,13 +1,17 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The pose as a transform on /tf: to the base, or to the frame of somebody else's odometry."""
 
 from typing import Any
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.diagnostics.messages import TransformMessage
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import NO_FRAME, LocalizerParameters
-from fnn_ekf_ros.pipeline.events import Estimate, Level, Status
-from fnn_ekf_ros.pipeline.frames import MapToOdom, Transform
 from fnn_ekf_ros.ros.build import build_message, message_class
+from fnn_ekf_ros.timeline.events import Estimate, Level, Status
+from fnn_ekf_ros.timeline.frames import MapToOdom, Transform
 
 from rclpy.node import Node  # isort: skip
 from rclpy.qos import QoSProfile  # isort: skip
@@ -51,15 +55,20 @@ class Transforms:
             self._publish_ahead(self._map_to_odom.located(pose))
 
     def status(self) -> Status:
-        """Return how it is: whether somebody tells where the base is in odom."""
+        """Return the status: whether somebody publishes where the base is in odom."""
         p = self._parameters
         if self._map_to_odom is None:
-            return Status("tf", Level.OK, f"{p.frame_id} to {p.base_frame}", ())
+            published = (("published", f"{p.frame_id} to {p.base_frame}"),)
+            return Status("tf", Level.OK, TransformMessage.PUBLISHED, published)
+        values = (("published", f"{p.frame_id} to {p.odom_frame}"),)
         missing_s = self._map_to_odom.missing_ns * 1e-9
         if missing_s > 0.0:
-            text = f"no transform {p.odom_frame} to {p.base_frame} for {missing_s:.1f} s"
-            return Status("tf", Level.WARN, text, ())
-        return Status("tf", Level.OK, f"{p.frame_id} to {p.odom_frame}", ())
+            missing = (
+                ("missing", f"{p.odom_frame} to {p.base_frame}"),
+                ("missing for [s]", f"{missing_s:.1f}"),
+            )
+            return Status("tf", Level.WARN, TransformMessage.MISSING, (*values, *missing))
+        return Status("tf", Level.OK, TransformMessage.PUBLISHED, values)
 
     def _receive(self, message: Any) -> None:
         assert self._map_to_odom is not None

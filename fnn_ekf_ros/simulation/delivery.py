@@ -1,4 +1,7 @@
-"""The way of the messages from the sensors to whoever listens, and what goes wrong on it.
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Delivery of the messages from the sensors to the listeners, and its faults.
 
 Every fault is a stage. What a stage lets through enters the next one in the same step; whether a
 fault is on is asked when a message enters its stage.
@@ -24,6 +27,7 @@ from fnn_ekf_ros.simulation.robot import STEP_S
 from fnn_ekf_ros.simulation.spoiling import SPOILERS, spoiled, with_stamp
 
 STEP_NS = round(STEP_S * 1e9)
+"""Length of a step of the simulation [ns]."""
 FaultT = TypeVar("FaultT", bound=Fault)
 
 
@@ -155,16 +159,17 @@ _STAGES: tuple[dict[type[Fault], type[Stage[Any]]], ...] = (
         Reordered: _Swapping,
     },
 )
-"""First what is measured, then when it is sent."""
+"""The stages of a message: first what is measured, then when it is sent."""
 
 
 class Delivery:
-    """All stages between the sensors and whoever listens.
+    """All stages between the sensors and the subscribers.
 
-    What is measured goes wrong before its delivery does; otherwise in the order of the faults.
+    Faults of the measured values come before those of the delivery; otherwise in the order of the
+    faults.
 
     Args:
-        faults: of any kind; those that are no stages are passed over.
+        faults: of any kind; those that are no stages are ignored.
         rngs: one for each.
     """
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The fake robot: the simulated drive with its sensors, as the messages they would send."""
 
 import math
@@ -25,11 +28,11 @@ from fnn_ekf_ros.simulation.robot import (
 from fnn_ekf_ros.simulation.spoiling import LATEST_STAMP_NS
 
 _EVERY_TRUTH = 10
-"""Interval of `ground_truth` in steps."""
+"""Interval of `ground_truth` [steps]."""
 _ENCODERS_PHASE_NS = STEP_NS
-"""Fixes and compass are due at multiples of their intervals, and so at the default rates at the
-filter's period boundaries; the encoders, which close a period, a step later, as from a robot that
-samples its slow sensors first [ns]."""
+"""Phase of the encoder messages [ns]: fixes and compass are due at multiples of their intervals,
+and so at the default rates at the filter's period boundaries; the encoders, which close a period,
+come a step later, as from a robot that samples its slow sensors first."""
 
 OUTPUT_TYPES = {
     messages.LEFT_TICKS: messages.TICKS_TYPE,
@@ -39,7 +42,7 @@ OUTPUT_TYPES = {
     messages.LRF_POSE: messages.POSE_TYPE,
     messages.GROUND_TRUTH: messages.ODOMETRY_TYPE,
 }
-"""Topics of the fake robot."""
+"""Type by topic of what the fake robot publishes."""
 
 
 class _Seen(NamedTuple):
@@ -69,7 +72,7 @@ class _LastStep(NamedTuple):
 
 
 class FakeRobot:
-    """A robot that moves a step at a time and says what it senses.
+    """A robot that moves a step at a time and sends what it senses.
 
     Compass and fixes are read, and stamped, at the multiples of their intervals in ROS time, also
     between two ends of steps; they are sent at the end of the step. Encoders are read at the first
@@ -117,7 +120,7 @@ class FakeRobot:
 
     @property
     def time_ns(self) -> int:
-        """ROS time of the robot's state, for whoever's clock is right [ns]."""
+        """ROS time of the robot's state, by a clock that is right [ns]."""
         return self._step * STEP_NS
 
     @property
@@ -175,7 +178,7 @@ class FakeRobot:
             yield from self._wheels()
 
     def _seen_at(self, time_ns: int) -> _Seen:
-        """Return what is seen at a time in the last step; in between, the way is straight."""
+        """Return what is seen at a time in the last step; in between, the path is straight."""
         before_end_ns = self.time_ns - time_ns
         if before_end_ns == 0:
             return _Seen(self._robot.pose, self.stamp_ns)

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What faults do to the robot itself: its motion, its encoders, its clock."""
 
 import math
@@ -92,12 +95,12 @@ class Schedule:
 
 
 class Reading(NamedTuple):
-    """What the encoder of a wheel says.
+    """The reading of a wheel's encoder.
 
     Attributes:
         ticks: the counter, not yet wrapped.
         turned: counts since the start, of which joint_states makes an angle.
-        heard: whether it says it.
+        heard: whether it is sent.
     """
 
     ticks: int

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """When a sensor of the fake robot is read."""
 
 from fractions import Fraction
@@ -5,9 +8,9 @@ from fractions import Fraction
 from fnn_ekf_ros.simulation.delivery import STEP_NS
 
 WHOLE_STEPS_TOLERANCE = Fraction(2, 10**5)
-"""An interval this close to a whole number of the robot's steps, as a part of itself, is taken as
-that number: 2.6667 Hz is a reading every 375 ms, and never drifts from it. Five digits of a rate
-are that exact."""
+"""Largest relative difference of an interval from a whole number of steps that is taken as that
+number: 2.6667 Hz is a reading every 375 ms, and never drifts from it. Five digits of a rate are
+that exact."""
 
 
 class ReadingTimes:

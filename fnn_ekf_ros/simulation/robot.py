@@ -1,8 +1,11 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated differential drive; every array may have leading batch dimensions.
 
 Truth moves on exact arcs in steps of `STEP_S`, a thirtieth of the filter's period. The motor
 control's error moves truth and encoders alike. Slip is what the encoders do not see: white noise
-on way and turn whose variance over 375 ms is `slip_std` squared, while the wheels turn.
+on distance and rotation whose variance over 375 ms is `slip_std` squared, while the wheels turn.
 """
 
 from typing import NamedTuple
@@ -18,12 +21,13 @@ from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.simulation.paths import Path
 
 STEP_S = 0.0125
+"""Length of a step of the simulation [s]."""
 LOOKAHEAD = 0.3
 """Distance at which the driver looks ahead along the path [m]."""
 LARGEST_TURN_RATE = 1.5
-"""The driver turns no faster [rad/s]."""
+"""Largest rotation rate that the driver commands [rad/s]."""
 EQUAL_WHEELS = np.ones(2)
-"""Both wheels have the radius that the parameters say."""
+"""Factors on the radii of the left and right wheel that are as configured."""
 
 
 class RobotState(NamedTuple):
@@ -31,8 +35,8 @@ class RobotState(NamedTuple):
 
     Attributes:
         pose: `(..., 3)` [x, y, yaw] in the map frame (m, m, rad).
-        travel: `(..., 2)` way of the left and right wheel's rim since the start [m].
-        progress: `(...)` way along the path of the point the driver aims at [m].
+        travel: `(..., 2)` distance of the left and right wheel's rim since the start [m].
+        progress: `(...)` distance along the path of the point the driver aims at [m].
     """
 
     pose: FloatArray
@@ -98,12 +102,12 @@ def advance(
     speeds = np.stack([command[..., 0] - half_turn, command[..., 0] + half_turn], axis=-1)
     batch = state.pose.shape[:-1]
     draws = rng.random((*batch, 2)), rng.standard_normal((*batch, 2))
-    way = speeds * (1.0 + parameters.wheel_speed_error * (2.0 * draws[0] - 1.0)) * STEP_S
+    distances = speeds * (1.0 + parameters.wheel_speed_error * (2.0 * draws[0] - 1.0)) * STEP_S
 
     moving = np.any(speeds != 0.0, axis=-1, keepdims=True)
     std = parameters.slip() if slip_std is None else slip_std
     slip = draws[1] * np.asarray(std) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
-    rolled = way * radius_factors
+    rolled = distances * radius_factors
     left, right = rolled[..., 0], rolled[..., 1]
     control = np.stack([0.5 * (left + right), (right - left) / L], axis=-1) + np.where(
         moving, slip, 0.0
@@ -111,9 +115,9 @@ def advance(
     moved = displacement(MotionModel.EXACT_ARC, state.pose[..., 2], components_first(control))
     pose = state.pose + components_last(moved)
     pose[..., 2] = wrap_angle(pose[..., 2])
-    return state._replace(pose=pose, travel=state.travel + way)
+    return state._replace(pose=pose, travel=state.travel + distances)
 
 
 def encoder_counts(parameters: FakeRobotParameters, state: RobotState) -> FloatArray:
     """Return the whole counts `(..., 2)` [left, right] since the start, not yet wrapped."""
-    return np.floor(state.travel / wheel_geometry(parameters).metres_per_count)
+    return np.floor(state.travel / wheel_geometry(parameters).meters_per_count)

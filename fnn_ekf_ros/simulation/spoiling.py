@@ -1,6 +1,9 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What faults make of a message: each a function from message to message, which changes nothing.
 
-A turn is a product of quaternions, so that one that is no rotation stays none, whatever other
+A rotation is a product of quaternions, so that one that is no rotation stays none, whatever other
 faults add to it.
 """
 
@@ -25,7 +28,7 @@ from fnn_ekf_ros.parameters.faults import (
 )
 
 LATEST_STAMP_NS = 2_100_000_000 * 10**9
-"""Seconds are 32 bits wide in ROS: no fault sets a clock later than this [ns]."""
+"""Largest ROS time to which a fault sets a clock [ns]: seconds have 32 bits in ROS."""
 
 
 def with_stamp(message: Message, stamp: Message) -> Message:
@@ -109,7 +112,7 @@ SPOILERS: dict[type[Fault], Callable[[Any, Message, np.random.Generator], Messag
     WrongUnit: _wrong_unit,
     BadCovariance: _bad_covariance,
 }
-"""The faults that change what a message says."""
+"""Functions of the faults that change the content of a message."""
 
 
 def _with(message: Message, **changes: Any) -> Message:

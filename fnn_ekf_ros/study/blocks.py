@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Taking a filter over a recording: some of the robots at a time, components first."""
 
 from collections.abc import Callable, Iterator
@@ -6,18 +9,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray, components_first, components_last
-from fnn_ekf_ros.core.filter import Epoch
-from fnn_ekf_ros.study.recording import Recording, Start, Track, of_runs
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.study.recording import Estimates, Recording, Start, of_runs
 
 NUMBERS_AT_ONCE = 150_000
-"""The robots that go through a filter side by side have so many numbers: more fall out of the cache
-and are slower, fewer pay for Python."""
+"""Floating-point numbers of the robots that go through a filter side by side: more fall out of the
+cache and are slower, with fewer the overhead of Python dominates."""
 NUMBERS_OF_A_FILTER = 12
-"""Mean and covariance."""
+"""Floating-point numbers that one filter keeps: its mean and covariance."""
 
 
 class BlockStart(NamedTuple):
-    """What a filter is told of some robots before the first step; all arrays have their batch.
+    """What a filter of some robots starts with; all arrays have their batch.
 
     Attributes:
         period_s: length of one step [s].
@@ -34,13 +37,13 @@ class BlockStart(NamedTuple):
     measurement_noise: FloatArray
 
 
-class Said(NamedTuple):
-    """What a filter says of some robots after a step.
+class StepEstimate(NamedTuple):
+    """What a filter estimates of some robots after a step.
 
     Attributes:
         mean: `(3, *batch)` poses (m, m, rad; map frame).
         covariance: `(3, 3, *batch)` their covariances.
-        nis: `(*batch)` normalised innovation squared; 0 where nothing was measured.
+        nis: `(*batch)` normalized innovation squared; 0 where nothing was measured.
     """
 
     mean: FloatArray
@@ -48,39 +51,39 @@ class Said(NamedTuple):
     nis: FloatArray
 
 
-BlockFilter = Callable[[BlockStart, Iterator[Epoch]], Iterator[Said]]
-"""Takes some robots over all steps, and says something after each."""
+BlockFilter = Callable[[BlockStart, Iterator[Epoch]], Iterator[StepEstimate]]
+"""Takes some robots over all steps, and yields an estimate after each."""
 
 
 def block_start(recording: Recording, start: Start) -> BlockStart:
     """Return starts `(..., n)` of a recording as one block."""
     batch = _batch_of(recording, start)
     return BlockStart(
-        recording.period_s,
-        _components_first(start.mean, batch),
-        _components_first(start.covariance, batch, 2),
-        _components_first(start.process_noise, batch),
-        _components_first(start.measurement_noise, batch),
+        period_s=recording.period_s,
+        mean=_components_first(start.mean, batch),
+        covariance=_components_first(start.covariance, batch, 2),
+        process_noise=_components_first(start.process_noise, batch),
+        measurement_noise=_components_first(start.measurement_noise, batch),
     )
 
 
 def block_epochs(recording: Recording, start: Start) -> Iterator[Epoch]:
-    """Yield what the sensors of a recording say in each step, for starts `(..., n)`."""
+    """Yield the readings of a recording in each step, for starts `(..., n)`."""
     batch = _batch_of(recording, start)
     for control, measurement, available in zip(
         recording.control, recording.measurement, recording.available, strict=True
     ):
         yield Epoch(
-            _components_first(control, batch),
-            recording.period_s,
-            _components_first(measurement, batch),
-            _components_first(available, batch),
+            control=_components_first(control, batch),
+            duration_s=recording.period_s,
+            measurement=_components_first(measurement, batch),
+            available=_components_first(available, batch),
         )
 
 
 def run_in_blocks(
     recording: Recording, start: Start, block_filter: BlockFilter, numbers: int
-) -> Track:
+) -> Estimates:
     """Run a filter over a recording, as many robots at a time as the cache holds.
 
     Args:
@@ -91,30 +94,30 @@ def run_in_blocks(
     """
     batch = _batch_of(recording, start)
     shape = (len(recording.control), *batch)
-    track = Track(
+    estimates = Estimates(
         mean=np.empty((*shape, STATE_SIZE)),
         covariance=np.empty((*shape, STATE_SIZE, STATE_SIZE)),
         nis=np.empty(shape),
         degrees_of_freedom=np.empty(shape),
     )
     runs = batch[-1]
-    at_once = max(NUMBERS_AT_ONCE // numbers * runs // max(track.nis[0].size, 1), 1)
+    at_once = max(NUMBERS_AT_ONCE // numbers * runs // max(estimates.nis[0].size, 1), 1)
     for first in range(0, runs, at_once):
         some = slice(first, first + at_once)
-        _run_block(of_runs(recording, some), of_runs(start, some), block_filter, track, some)
-    return track
+        _run_block(of_runs(recording, some), of_runs(start, some), block_filter, estimates, some)
+    return estimates
 
 
 def _run_block(
-    recording: Recording, start: Start, block_filter: BlockFilter, track: Track, some: slice
+    recording: Recording, start: Start, block_filter: BlockFilter, estimates: Estimates, some: slice
 ) -> None:
-    """Run a filter over some of the runs, and write what it says into their part of the track."""
-    said_by_step = block_filter(block_start(recording, start), block_epochs(recording, start))
-    for t, said in enumerate(said_by_step):
-        track.mean[t][..., some, :] = components_last(said.mean)
-        track.covariance[t][..., some, :, :] = components_last(said.covariance, 2)
-        track.nis[t][..., some] = said.nis
-        track.degrees_of_freedom[t][..., some] = recording.available[t].sum(axis=-1)
+    """Run a filter over some of the runs, and fill in their part of the estimates."""
+    steps = block_filter(block_start(recording, start), block_epochs(recording, start))
+    for t, estimate in enumerate(steps):
+        estimates.mean[t][..., some, :] = components_last(estimate.mean)
+        estimates.covariance[t][..., some, :, :] = components_last(estimate.covariance, 2)
+        estimates.nis[t][..., some] = estimate.nis
+        estimates.degrees_of_freedom[t][..., some] = recording.available[t].sum(axis=-1)
 
 
 def _batch_of(recording: Recording, start: Start) -> tuple[int, ...]:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Noise that changes, and errors that are no white noise: one case each, in simulation 1."""
 
 import math
@@ -58,9 +61,12 @@ CASES = {
     "fixes_lost": Case("no fixes", Scenario(lost=(Row.X, Row.Y)), has_event=True),
     "compass_lost": Case("no compass", Scenario(lost=(Row.COMPASS_YAW,)), has_event=True),
 }  # fmt: skip
+"""The cases by name."""
 
 PATH = "sim1"
+"""What is driven, simulation 1's path."""
 STARTS = (RIGHT, *CORNERS)
+"""Starts that the pictures show."""
 
 
 def plans(size: Size) -> list[TrialPlan]:

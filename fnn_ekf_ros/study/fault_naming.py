@@ -1,16 +1,18 @@
-"""Who is named when a sensor fails: faults of one sensor at a time, and what diagnostics say.
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which sensor diagnostics name when one fails: faults of one sensor at a time.
 
 The list was drawn up by what fails on robots, before anything was measured.
 """
 
-import dataclasses
-import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import Networks
+from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import (
     BadCovariance,
@@ -34,20 +36,19 @@ from fnn_ekf_ros.parameters.faults import (
     ZeroQuaternion,
 )
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.events import Level, Rejected, Sensor, Status
-from fnn_ekf_ros.pipeline.pipeline import Pipeline
 from fnn_ekf_ros.simulation.listening import listen
-from fnn_ekf_ros.study.starts import Cell
+from fnn_ekf_ros.timeline.events import Level, Sensor, Status
 
 PATHS = ("sim1", "sim2", "square", "round")
-"""Runs take turns on them."""
+"""Paths that the runs with a fault take turns on."""
 QUIET_PATHS = ("sim1", "sim2")
-"""Where nothing goes wrong."""
+"""Paths of the runs without a fault."""
 ONSET_S = (40.0, 60.0)
-"""A fault begins at a time drawn from here [s]."""
+"""Range from which the onset of a fault is drawn [s]: the filter has settled."""
 NAMED_WITHIN_S = 30.0
-"""So long diagnostics have to name the sensor."""
+"""Longest time from the onset until the sensor is named that counts as in time [s]."""
 START_NS = 3 * 10**9
+"""ROS time at which a run begins [ns]: ROS time 0 means no time."""
 
 C, L = "compass", "lrf_pose"
 
@@ -73,7 +74,7 @@ def _case(name: str, about: str, *makers: Callable[[float], Fault]) -> FaultCase
     return FaultCase(name, about, sensor, lambda t: tuple(make(t) for make in makers))
 
 
-FAULTS: tuple[FaultCase, ...] = (
+NAMING_CASES: tuple[FaultCase, ...] = (
     _case("stuck_wheel", "the left wheel's counter stands still",
           lambda t: StuckWheel(start=t, wheel="left")),
     _case("stuck_wheels", "both counters stand still",
@@ -126,7 +127,7 @@ FAULTS: tuple[FaultCase, ...] = (
 
 
 class Report(NamedTuple):
-    """What diagnostics said once.
+    """What diagnostics reported once.
 
     Attributes:
         time_s: since the robot's start [s].
@@ -147,7 +148,7 @@ class Report(NamedTuple):
 
 
 class Naming(NamedTuple):
-    """What diagnostics said of a fault.
+    """What diagnostics reported of a fault.
 
     Attributes:
         case: which.
@@ -184,7 +185,7 @@ class Naming(NamedTuple):
 
 
 class Quiet(NamedTuple):
-    """What diagnostics said while nothing was wrong.
+    """What diagnostics reported while nothing was wrong.
 
     Attributes:
         path: what was driven.
@@ -197,19 +198,6 @@ class Quiet(NamedTuple):
     reports: int
     warned: int
     words: dict[str, int]
-
-
-def told_noise(localizer: LocalizerParameters, cell: Cell) -> LocalizerParameters:
-    """Return a localizer that is told a wrong noise."""
-    q, k = math.sqrt(cell.q), math.sqrt(cell.k)
-    way, turn = localizer.process_noise_std
-    x, y, yaw = localizer.measurement_noise_std
-    return dataclasses.replace(
-        localizer,
-        process_noise_std=(q * way, q * turn),
-        measurement_noise_std=(k * x, k * y, k * yaw),
-        lrf_yaw_std=k * localizer.lrf_yaw_std,
-    )
 
 
 class Setting(NamedTuple):
@@ -228,15 +216,11 @@ class Setting(NamedTuple):
 
 def reports(setting: Setting, duration_s: float, faults: Sequence[Fault] = ()) -> Iterator[Report]:
     """Yield what diagnostics say about a run, from when the filter runs."""
-    pipeline = Pipeline(setting.localizer, setting.networks)
+    localizer = Localizer(setting.localizer, setting.networks)
     for heard in listen(setting.robot, setting.localizer, START_NS, duration_s, faults):
-        if isinstance(heard.events, Rejected):
-            pipeline.reject(heard.events)
-            continue
-        for event in heard.events:
-            for output in pipeline.add(event, heard.now_ns):
-                if output.health is not None and output.estimate is not None:
-                    yield Report((output.stamp_ns - START_NS) * 1e-9, output.health)
+        for output in localizer.receive(heard.topic, heard.message, heard.now_ns).outputs:
+            if output.statuses is not None and output.estimate is not None:
+                yield Report((output.stamp_ns - START_NS) * 1e-9, output.statuses)
 
 
 def name_fault(case: FaultCase, setting: Setting, rng: np.random.Generator) -> Naming:
@@ -257,9 +241,14 @@ def name_fault(case: FaultCase, setting: Setting, rng: np.random.Generator) -> N
         if not named or report.time_s - onset_s <= named[0]:
             first = first and not others
     return Naming(
-        case, setting.robot.path, onset_s, named[0] if named else float("nan"), first,
-        not others, others,
-    )  # fmt: skip
+        case=case,
+        path=setting.robot.path,
+        onset_s=onset_s,
+        named_s=named[0] if named else float("nan"),
+        first=first,
+        alone=not others,
+        others=others,
+    )
 
 
 def quiet_run(setting: Setting, duration_s: float) -> Quiet:
@@ -273,4 +262,4 @@ def quiet_run(setting: Setting, duration_s: float) -> Quiet:
             if status.level > Level.OK:
                 what = f"{status.name}: {status.message}"
                 words[what] = words.get(what, 0) + 1
-    return Quiet(setting.robot.path, count, warned, words)
+    return Quiet(path=setting.robot.path, reports=count, warned=warned, words=words)

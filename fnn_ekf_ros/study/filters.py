@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The filters of the studies, by name; all see the same recordings and the same starts."""
 
 import dataclasses
@@ -9,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import MEASUREMENT_SIZE, against
-from fnn_ekf_ros.core.filter import Epoch, step
+from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.motion import MotionModel
+from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.state import FilterModel, start_filter, with_noise
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.configure import filter_model
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
-from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
+from fnn_ekf_ros.study.recording import Estimates, Recording, Start
 from fnn_ekf_ros.study.rivals import (
     innovation_based,
     multiple_model,
@@ -27,16 +30,23 @@ from fnn_ekf_ros.study.rivals.innovation_based import InnovationBasedSettings
 from fnn_ekf_ros.study.rivals.multiple_model import MultipleModelSettings
 from fnn_ekf_ros.study.rivals.sage_husa import SageHusaSettings
 from fnn_ekf_ros.study.rivals.variational_bayes import VariationalBayesSettings
+from fnn_ekf_ros.timeline.filter_model import filter_model
 
 ORACLE = "oracle"
+"""Name of the EKF that knows the true noise of each step."""
 EKF = "ekf"
+"""Name of the EKF without a gate."""
 JOINT = "joint"
+"""Name of the filter in mode joint."""
 DEAD_RECKONING = "dead_reckoning"
+"""Name of the filter that takes no readings."""
 BANK = "multiple_model"
+"""Name of the bank of 81 EKFs."""
 SLOWEST = (BANK, JOINT, "rq_centroid")
-"""Filters that take several times as long as the others, the slowest first."""
+"""Names of the filters that take several times as long as the others, the slowest first: their work
+begins first."""
 SMALLEST_WINDOW = 2
-"""A filter that adapts nothing need not carry more innovations along."""
+"""Smallest `innovation_window`: a filter that adapts nothing needs no innovations."""
 PLAIN: dict[str, Any] = {"adaptation": "none", "innovation_window": SMALLEST_WINDOW}
 """Parameters of an EKF that adapts nothing."""
 NO_GATE: dict[str, Any] = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
@@ -87,16 +97,16 @@ class StudyFilter:
     Attributes:
         name: what `--filters` calls it.
         label: what tables and figures call it.
-        run: takes a recording and starts `(..., n)`; returns the track `(T, ..., n)`.
+        run: takes a recording and starts `(..., n)`; returns the estimates `(T, ..., n)`.
     """
 
     name: str
     label: str
-    run: Callable[[Recording, Start], Track]
+    run: Callable[[Recording, Start], Estimates]
 
 
 class LocalizerModel(NamedTuple):
-    """A filter that the localizer itself can be told to be.
+    """A filter that the localizer itself can be configured to be.
 
     Attributes:
         label: what tables and figures call it.
@@ -111,11 +121,11 @@ def localizer_models(parameters: LocalizerParameters) -> dict[str, LocalizerMode
     """Return the localizer's own filters by name, the EKF first: plain, without a gate.
 
     Args:
-        parameters: of every filter, but for what its name says.
+        parameters: of every filter, except what its name decides.
     """
     return {
-        name: LocalizerModel(label, _model(parameters, **changes))
-        for name, label, changes in LOCALIZER_FILTERS
+        each.name: LocalizerModel(each.label, _model(parameters, **each.changes))
+        for each in LOCALIZER_FILTERS
     }
 
 
@@ -123,7 +133,7 @@ def study_filters(parameters: LocalizerParameters) -> dict[str, StudyFilter]:
     """Return all filters by name.
 
     Args:
-        parameters: of every filter, but for what its name says and the noise it starts with.
+        parameters: of every filter, except what its name decides and the noise it starts with.
     """
     models = localizer_models(parameters)
     fixed = models[EKF].model
@@ -164,14 +174,14 @@ def study_filters(parameters: LocalizerParameters) -> dict[str, StudyFilter]:
 
 def run(
     model: FilterModel, recording: Recording, start: Start, *, knows_noise: bool = False
-) -> Track:
+) -> Estimates:
     """Run the localizer's own filter over a recording.
 
     Args:
         model: the filter.
         recording: of n robots.
         start: `(..., n)` starts.
-        knows_noise: whether it is told each step's true Q and R instead of the start's.
+        knows_noise: whether it has each step's true Q and R instead of the start's.
     """
     window = MEASUREMENT_SIZE * model.adaptation.window_length
     numbers = NUMBERS_OF_A_FILTER * model.layout.steady.stop + window
@@ -184,7 +194,7 @@ def _filter(
     knows_noise: bool,
     start: BlockStart,
     epochs: Iterator[Epoch],
-) -> Iterator[Said]:
+) -> Iterator[StepEstimate]:
     """Take some robots over all steps; the recording is there for its true noise."""
     state = start_filter(
         model, start.mean, start.covariance, start.process_noise, start.measurement_noise
@@ -200,7 +210,7 @@ def _filter(
                 np.broadcast_to(against(R, start.measurement_noise), start.measurement_noise.shape),
             )
         state, result = step(model, state, (epoch,))
-        yield Said(state.mean, state.covariance, result.nis)
+        yield StepEstimate(state.mean, state.covariance, result.nis)
 
 
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
@@ -208,6 +218,6 @@ def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:
     return filter_model(changed, networks_for(changed))
 
 
-def _run_blind(model: FilterModel, recording: Recording, start: Start) -> Track:
+def _run_blind(model: FilterModel, recording: Recording, start: Start) -> Estimates:
     blind = recording._replace(available=np.zeros_like(recording.available))
     return run(model, blind, start)

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every wrong start: assumed over true variance of Q and of R, in both of the paper's simulations.
 
 The paper does not say what noise its simulated robot really had, and a user does not know what

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings whose readings have instants of their own, and the filter over their periods.
 
 In the other recordings everything is read at the end of a period of 375 ms. Here fixes and compass
@@ -23,10 +26,13 @@ from fnn_ekf_ros.core.arrays import (
     components_first,
     components_last,
 )
-from fnn_ekf_ros.core.filter import Epoch, step
+from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.odometry import control_from_counts
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.core.rows import FIX_ROWS, POSITION_ROWS
 from fnn_ekf_ros.core.state import FilterModel, start_filter
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.simulation.delivery import STEP_NS
 from fnn_ekf_ros.simulation.paths import scripted_path
 from fnn_ekf_ros.simulation.reading_times import ReadingTimes
@@ -38,16 +44,18 @@ from fnn_ekf_ros.simulation.robot import (
     follow,
     wheel_geometry,
 )
-from fnn_ekf_ros.study.recording import Start, Track, of_runs
+from fnn_ekf_ros.study.recording import Estimates, Start, of_runs
 from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Drive
 
 TimeArray = NDArray[np.int64]
 
 NS_PER_S = 10**9
+"""Nanoseconds per second."""
 ROBOTS_AT_ONCE = 200
-"""So many go through a filter side by side, as many of joint adaptation as the cache holds."""
-FIX_ROWS, FIX_ROWS_WITH_YAW = (Row.X, Row.Y), (Row.X, Row.Y, Row.LRF_YAW)
+"""Number of robots that go through a filter side by side: as many of mode joint as fit the
+cache."""
 COMPASS_ROWS = (Row.COMPASS_YAW,)
+"""Rows that the compass measures."""
 
 
 class Timing(NamedTuple):
@@ -129,9 +137,7 @@ def drive_steps(
 def true_poses(driven: Drive, time_ns: TimeArray) -> FloatArray:
     """Return the true poses `(K, n, 3)` at instants `(K,)` [ns] of a drive of 12.5 ms steps."""
     first, last, part = _between(driven.truth, time_ns)
-    difference = last - first
-    difference[..., 2] = wrap_angle(difference[..., 2])
-    pose = first + part * difference
+    pose = first + part * pose_errors(last, first)
     pose[..., 2] = wrap_angle(pose[..., 2])
     return pose
 
@@ -143,10 +149,8 @@ def counts_at(robot: FakeRobotParameters, driven: Drive, time_ns: TimeArray) -> 
     return np.asarray(first + part * (last - first))
 
 
-def read_sensors(
-    driven: Drive, timing: Timing, rng: np.random.Generator, R: FloatArray | None = None
-) -> Readings:
-    """Return what the sensors measure on a drive: z = truth + N(0, R), white noise.
+def read_sensors(driven: Drive, timing: Timing, rng: np.random.Generator) -> Readings:
+    """Return what the sensors measure on a drive: z = truth + N(0, R), R the paper's.
 
     Each sensor draws from a stream of its own.
 
@@ -154,12 +158,10 @@ def read_sensors(
         driven: the drive, of 12.5 ms steps.
         timing: when the sensors are read.
         rng: source of their noise.
-        R: `(4,)` its variances, rows as in `Row`; None for the paper's.
     """
-    R = NOMINAL_MEASUREMENT_NOISE if R is None else R
     end_ns = STEP_NS * (len(driven.truth) - 1)
     sensors = (
-        (FIX_ROWS_WITH_YAW if timing.fix_yaw else FIX_ROWS, timing.fix_rate, timing.fix_phase),
+        (FIX_ROWS if timing.fix_yaw else POSITION_ROWS, timing.fix_rate, timing.fix_phase),
         (COMPASS_ROWS, timing.compass_rate, timing.compass_phase),
     )
     times = [reading_times(rate, phase, end_ns) for _, rate, phase in sensors]
@@ -169,7 +171,9 @@ def read_sensors(
     for (rows, _, _), own, own_rng in zip(sensors, times, rng.spawn(len(sensors)), strict=True):
         where, pose = np.searchsorted(instants, own), true_poses(driven, own)
         for row in rows:
-            noise = np.sqrt(R[row]) * own_rng.standard_normal(pose.shape[:2])
+            noise = np.sqrt(NOMINAL_MEASUREMENT_NOISE[row]) * own_rng.standard_normal(
+                pose.shape[:2]
+            )
             measurement[where, row] = pose[..., STATE_OF_ROW[row]] + noise
             available[where, row] = True
     measurement[:, Row.COMPASS_YAW :] = wrap_angle(measurement[:, Row.COMPASS_YAW :])
@@ -247,10 +251,10 @@ def period_epochs(recording: TimedRecording, cells: int, some: slice) -> Iterato
         available = np.broadcast_to(recording.available[k, :, None], (MEASUREMENT_SIZE, runs))
         epochs.append(
             Epoch(
-                for_batch(recording.control[k]),
-                duration_s,
-                for_batch(recording.measurement[k]),
-                for_batch(available),
+                control=for_batch(recording.control[k]),
+                duration_s=duration_s,
+                measurement=for_batch(recording.measurement[k]),
+                available=for_batch(available),
             )
         )
         if ends:
@@ -258,17 +262,20 @@ def period_epochs(recording: TimedRecording, cells: int, some: slice) -> Iterato
             epochs = []
 
 
-def run_periods(model: FilterModel, recording: TimedRecording, start: Start) -> Track:
-    """Run the localizer's filter over a recording; the track `(T, cells, n)` has its periods' ends.
+def run_periods(model: FilterModel, recording: TimedRecording, start: Start) -> Estimates:
+    """Run the localizer's filter over a recording; estimates at the periods' ends.
 
     Args:
         model: the filter.
         recording: of n robots.
         start: `(cells, n)` starts.
+
+    Returns:
+        `(T, cells, n)` estimates.
     """
     cells, runs = start.mean.shape[:2]
     shape = (len(recording.truth) - 1, cells, runs)
-    track = Track(
+    estimates = Estimates(
         mean=np.empty((*shape, STATE_SIZE)),
         covariance=np.empty((*shape, STATE_SIZE, STATE_SIZE)),
         nis=np.empty(shape),
@@ -287,11 +294,11 @@ def run_periods(model: FilterModel, recording: TimedRecording, start: Start) -> 
         )
         for t, epochs in enumerate(period_epochs(recording, cells, some)):
             state, result = step(model, state, epochs)
-            track.mean[t][:, some] = components_last(state.mean)
-            track.covariance[t][:, some] = components_last(state.covariance, 2)
-            track.nis[t][:, some] = result.nis
-            track.degrees_of_freedom[t][:, some] = result.degrees_of_freedom
-    return track
+            estimates.mean[t][:, some] = components_last(state.mean)
+            estimates.covariance[t][:, some] = components_last(state.covariance, 2)
+            estimates.nis[t][:, some] = result.nis
+            estimates.degrees_of_freedom[t][:, some] = result.degrees_of_freedom
+    return estimates
 
 
 def _between(values: FloatArray, time_ns: TimeArray) -> tuple[FloatArray, FloatArray, FloatArray]:

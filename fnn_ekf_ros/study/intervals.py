@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Quantiles and intervals; numpy and the normal distribution are all that is needed."""
 
 from statistics import NormalDist
@@ -8,11 +11,13 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import FloatArray
 
 CONFIDENCE = 0.95
+"""Confidence level of all intervals."""
 _Z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
+"""Quantile of the normal distribution at that level."""
 
 
 class Interval(NamedTuple):
-    """An estimate with its 95 % confidence interval; NaN ends where it cannot be told.
+    """An estimate with its 95 % confidence interval; NaN ends where it is not known.
 
     Attributes:
         value: `(...)` the estimate.

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's own trials: both simulations and the experiment's round path.
 
 From the right start, with R assumed 25 times its true variance, and with Q a 25th of its true
@@ -18,6 +21,7 @@ TRIALS = {
 }
 """Paths of the fake robot, and what the paper calls them."""
 STARTS = (RIGHT, Cell(1.0, 25.0), Cell(1.0 / 25.0, 25.0))
+"""Starts of the filters: right, R too large, and Q too small as well."""
 FIRST_CORNER, LINE, THIRD_CORNER = (5.7, 0.3), (3.0, 0.0), (4.5, 3.7)
 """Middles of the parts of the experiment's path that the paper enlarges, its corners counted from
 the start, (6, 0) and (4.5, 4) [m]."""

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Does accuracy depend on the period, and on rates and phases of the sensors?
 
 Robots on the round path with the slip of simulation 2; fixes and compass have the paper's noise,
@@ -14,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.simulation.robot import STEP_S
 from fnn_ekf_ros.study.filters import EKF, JOINT, localizer_models
 from fnn_ekf_ros.study.instants import (
@@ -35,26 +38,31 @@ from fnn_ekf_ros.study.scores import Errors, compare
 from fnn_ekf_ros.study.starts import CORNERS, RIGHT, starts_at
 
 PATH = "round"
+"""What is driven."""
 PERIODS_S = (0.02, 0.1, 0.375, 1.0)
-"""Periods that are compared [s]; the first is the one that the others are held against."""
+"""Periods that are compared [s]; the others are compared with the first."""
 COMMON_S = 3.0
-"""So often all these periods end at the same instant [s]; runs are whole multiples of it."""
+"""Interval at which all these periods end at the same instant [s]; runs are whole multiples of
+it."""
 FIX_RATE, COMPASS_RATE = 10.0, 50.0
 """Rates where the period is in question [Hz]."""
 SHORT_RUNS_SHARE = 2.0
-"""Runs of many fixes a second are short: so many times the runs, for intervals as narrow."""
+"""Factor on the number of runs where many fixes a second make them short: their intervals become as
+narrow as the others."""
 FIX_RATES = {1.0: 0.5, 2.6667: 1.0, 5.0: 1.0, 20.0: SHORT_RUNS_SHARE}
-"""Further rates of the fixes [Hz], each with the part of the runs that it has."""
+"""Further rates of the fixes [Hz], each with a factor on the number of runs."""
 PHASES = {"aligned": (0.0, 0.0), "shifted": (0.3, 0.6)}
-"""Phases of fixes and compass, as parts of their intervals: on multiples of them, or later."""
+"""Phases of fixes and compass, as parts of their intervals: at multiples of the intervals, or
+later."""
 CELLS = (RIGHT, *CORNERS)
 """Starts of joint adaptation."""
 SAME_WITHIN = 0.03
-"""RMSE of two periods, or of two filters, that count as the same differ by this part at most."""
+"""Largest relative difference of the RMSE of two periods, or of two filters, that count as the
+same."""
 LARGEST_RATIO = 1.05
-"""Joint adaptation may be this much worse than the EKF that knows the noise."""
+"""Largest RMSE of mode joint, as a ratio to the EKF that knows the noise, that meets the bar."""
 NEES_RANGE = (2.5, 3.8)
-"""NEES of a covariance that counts as honest; 3 is ideal."""
+"""Range of the mean NEES that meets the bar; 3 is ideal."""
 
 
 class RateCase(NamedTuple):
@@ -193,8 +201,7 @@ def period_errors(
         squares.append(_squares(errors.error[every - 1 :: every, 0]))
     recording = in_periods(robot, driven, readings, COMMON_S)
     mean, _ = plain_ekf.run(recording, Start(*(array[0] for array in start)))
-    error = mean - recording.truth[1:]
-    error[..., 2] = wrap_angle(error[..., 2])
+    error = pose_errors(mean, recording.truth[1:])
     position, yaw = zip(*squares, strict=True)
     return PeriodErrors(np.array(position), np.array(yaw), *_squares(error))
 

@@ -1,42 +1,44 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Every start on a real recording: the localizer's own periods, all 25 starts as one batch.
 
-The localizer's pipeline orders what was recorded into periods, cut into epochs at the readings,
+The localizer orders what was recorded into periods, cut into epochs at the readings,
 once: they do not depend on the noise. Where late inputs had it run periods again, the last version
 counts; so the filters see all that came within `history` in its place, and what they say is what a
-localizer would say that had all of it in time. Each start then goes through the pipeline's own
-`run_period`, from the waiting for the first pose on: P at the start is R of that start.
+localizer would say that had all of it in time. Each start then goes through `run_period`, from the
+waiting for the first pose on: P at the start is R of that start.
 
-A factor k of R is one of what the filter takes for R at the start, whoever says so: where the
-fixes bring covariances of their own, they count k times, too.
+A factor k of R multiplies the R that the filter assumes at the start, wherever it is from: where
+the fixes bring covariances of their own, they count k times, too.
 """
 
 import dataclasses
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row, components_first, components_last
 from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
+from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.pipeline.configure import filter_model
-from fnn_ekf_ros.pipeline.inputs import PeriodInputs
-from fnn_ekf_ros.pipeline.period import Period, run_period, state_at_begin
-from fnn_ekf_ros.pipeline.pipeline import Pipeline
-from fnn_ekf_ros.pipeline.start import Waiting, wait
+from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.study.filters import SMALLEST_WINDOW
 from fnn_ekf_ros.study.recording import Start
 from fnn_ekf_ros.study.scores import LOST_FACTOR
-from fnn_ekf_ros.study.starts import Cell
+from fnn_ekf_ros.study.starts import Cell, with_noise_factors
+from fnn_ekf_ros.timeline.filter_model import filter_model
+from fnn_ekf_ros.timeline.initialization import AwaitingStart, wait
+from fnn_ekf_ros.timeline.inputs import PeriodInputs
+from fnn_ekf_ros.timeline.period import Period, run_period, state_at_begin
 
 
 class PeriodRecorder:
-    """Keeps the periods of a pipeline as they were run last; for its `on_period`.
+    """Keeps the periods of a localizer as they were run last; for its `on_period`.
 
     Attributes:
         periods: in the order of time.
@@ -46,7 +48,7 @@ class PeriodRecorder:
     def __init__(self) -> None:
         self.periods: list[Period] = []
         self.broken_ns: int | None = None
-        self._begin: FilterState | Waiting | None = None
+        self._begin: FilterState | AwaitingStart | None = None
 
     def __call__(self, period: Period) -> None:
         """Take a period in, in place of all that were run for this time or later before."""
@@ -79,7 +81,7 @@ class BatchStart(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What a filter said from every start.
+    """What a filter estimated from every start.
 
     Attributes:
         mean: `(T, n, 3)` poses, the first one included (m, m, rad; map frame).
@@ -110,34 +112,17 @@ class RealScore(NamedTuple):
     median_nees: FloatArray
 
 
-def recording_pipeline(parameters: LocalizerParameters) -> tuple[Pipeline, PeriodRecorder]:
-    """Return the localizer's pipeline, adapting nothing, and what keeps its periods."""
+def recording_localizer(parameters: LocalizerParameters) -> tuple[Localizer, PeriodRecorder]:
+    """Return the localizer, adapting nothing, and what keeps its periods."""
     fixed = dataclasses.replace(parameters, adaptation="none", innovation_window=SMALLEST_WINDOW)
     recorder = PeriodRecorder()
-    return Pipeline(fixed, networks_for(fixed), recorder), recorder
-
-
-def with_noise_of(parameters: LocalizerParameters, cell: Cell) -> LocalizerParameters:
-    """Return the parameters with Q and R as wrong as the cell says.
-
-    Raises:
-        ParameterError: the noise would leave its bounds.
-    """
-    q, k = math.sqrt(cell.q), math.sqrt(cell.k)
-    forward, turn = parameters.process_noise_std
-    x, y, yaw = parameters.measurement_noise_std
-    return dataclasses.replace(
-        parameters,
-        process_noise_std=(q * forward, q * turn),
-        measurement_noise_std=(k * x, k * y, k * yaw),
-        lrf_yaw_std=k * parameters.lrf_yaw_std,
-    )
+    return Localizer(fixed, networks_for(fixed), recorder), recorder
 
 
 def batch_start(
     parameters: LocalizerParameters, periods: Sequence[Period], cells: Sequence[Cell]
 ) -> BatchStart:
-    """Return the starts of all cells, as the pipeline finds them.
+    """Return the starts of all cells, as the localizer finds them.
 
     Args:
         parameters: with the noise that a factor of 1 stands for.
@@ -151,7 +136,7 @@ def batch_start(
     taken, states, models = 0, [], []
     rest: tuple[Epoch, ...] = ()
     for cell in cells:
-        model = filter_model(with_noise_of(parameters, cell), networks)
+        model = filter_model(with_noise_factors(parameters, cell), networks)
         taken, state, rest = _first_state(model, cell, periods)
         states.append(state)
         models.append(model)
@@ -189,7 +174,7 @@ def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
     cells = len(start.mean)
     if batch.rest:
         begin, _ = step(model, begin, [_of_all(epoch, cells) for epoch in batch.rest])
-    state: FilterState | Waiting = begin
+    state: FilterState | AwaitingStart = begin
     for inputs in (None, *batch.inputs):
         if inputs is not None:
             state, _ = run_period(model, state, _for_cells(inputs, cells))
@@ -208,18 +193,18 @@ def _for_cells(inputs: PeriodInputs, cells: int) -> PeriodInputs:
 def _of_all(epoch: Epoch, cells: int) -> Epoch:
     reported = epoch.fix_covariance
     return Epoch(
-        np.broadcast_to(epoch.control[:, None], (len(epoch.control), cells)),
-        epoch.duration_s,
-        np.broadcast_to(epoch.measurement[:, None], (len(epoch.measurement), cells)),
-        np.broadcast_to(epoch.available[:, None], (len(epoch.available), cells)),
-        None
+        control=np.broadcast_to(epoch.control[:, None], (len(epoch.control), cells)),
+        duration_s=epoch.duration_s,
+        measurement=np.broadcast_to(epoch.measurement[:, None], (len(epoch.measurement), cells)),
+        available=np.broadcast_to(epoch.available[:, None], (len(epoch.available), cells)),
+        fix_covariance=None
         if reported is None
         else np.broadcast_to(reported[..., None], (*reported.shape, cells)),
     )
 
 
 def collect(states: Iterable[FilterState]) -> Run:
-    """Return what a filter said, of its states; there is at least one."""
+    """Return what a filter estimated, of its states; there is at least one."""
     means, covariances, last = [], [], None
     for state in states:
         means.append(components_last(state.mean))
@@ -228,10 +213,10 @@ def collect(states: Iterable[FilterState]) -> Run:
     if last is None:
         raise ValueError("no states: expected one at least")
     return Run(
-        np.stack(means),
-        np.stack(covariances),
-        components_last(last.process_noise),
-        components_last(last.measurement_noise),
+        mean=np.stack(means),
+        covariance=np.stack(covariances),
+        process_noise=components_last(last.process_noise),
+        measurement_noise=components_last(last.measurement_noise),
     )
 
 
@@ -243,8 +228,7 @@ def score_starts(run: Run, truth: FloatArray) -> RealScore:
         truth: `(T, 3)` true poses, NaN where they are not known; the position is somewhere.
     """
     known = np.isfinite(truth[:, 0])
-    error = run.mean[known] - truth[known, None]
-    error[..., 2] = wrap_angle(error[..., 2])
+    error = pose_errors(run.mean[known], truth[known, None])
     rmse = np.sqrt(np.mean(error[..., :2] ** 2, axis=0))
     yaw = nees = np.full(error.shape[1], np.nan)
     with_yaw = np.isfinite(truth[known, 2])
@@ -288,7 +272,7 @@ def _first_state(
     before = periods[0].before
     if isinstance(before, FilterState):
         return 0, start_filter(model, before.mean, before.covariance), ()
-    state: FilterState | Waiting = Waiting(
+    state: FilterState | AwaitingStart = AwaitingStart(
         *noise, given_pose=before.given_pose, given_covariance=before.given_covariance
     )
     for taken, period in enumerate(periods, 1):

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What every filter of a study is given and what it gives back; time first, then the batch."""
 
 from typing import NamedTuple, TypeVar
@@ -6,7 +9,7 @@ from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 
 
 class Recording(NamedTuple):
-    """What the sensors of a batch of robots said, with the truth; T steps, n runs.
+    """What the sensors of a batch of robots measured, with the truth; T steps, n runs.
 
     Attributes:
         period_s: length of one step [s].
@@ -28,7 +31,7 @@ class Recording(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What a filter is told before the first step; leading dimensions broadcast to the batch.
+    """What a filter starts with; leading dimensions broadcast to the batch.
 
     Attributes:
         mean: `(..., n, 3)` start pose (m, m, rad; map frame).
@@ -43,13 +46,13 @@ class Start(NamedTuple):
     measurement_noise: FloatArray
 
 
-class Track(NamedTuple):
-    """What a filter said, after each of the T steps.
+class Estimates(NamedTuple):
+    """What a filter estimated after each of the T steps.
 
     Attributes:
         mean: `(T, ..., n, 3)` poses (m, m, rad; map frame).
         covariance: `(T, ..., n, 3, 3)` their covariances.
-        nis: `(T, ..., n)` normalised innovation squared; 0 where nothing was measured.
+        nis: `(T, ..., n)` normalized innovation squared; 0 where nothing was measured.
         degrees_of_freedom: `(T, ..., n)` of `nis`.
     """
 
@@ -66,10 +69,10 @@ def of_runs(value: ValueT, some: slice) -> ValueT:
     """Return some of the runs of a recording or of starts; views. What all runs share is kept."""
     if isinstance(value, Start):
         return Start(
-            _of_runs(value.mean, some),
-            _of_runs(value.covariance, some, 2),
-            _of_runs(value.process_noise, some),
-            _of_runs(value.measurement_noise, some),
+            mean=_of_runs(value.mean, some),
+            covariance=_of_runs(value.covariance, some, 2),
+            process_noise=_of_runs(value.process_noise, some),
+            measurement_noise=_of_runs(value.measurement_noise, some),
         )
     return value._replace(
         truth=value.truth[:, some],

@@ -1,9 +1,12 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulated recordings: the fake robot's drive, and what goes wrong with its wheels and sensors.
 
 The robot is the one of `simulate`: truth on exact arcs in steps of 12.5 ms, encoders in whole
 counts, a driver who keeps to a path. Between truth and encoders stand slip, the process noise of
 the paper's (25), and the rounding to counts. With the paper's wheels a count is 0.3 mm; its
-rounding adds (0.3 mm)^2 / 12 to the variance of a period's way, 1/50000 of simulation 1's slip.
+rounding adds (0.3 mm)^2 / 12 to the variance of a period's distance, 1/50000 of simulation 1's.
 
 Fixes and compass are taken at the end of each period: z = truth + N(0, R). There is no laser yaw.
 """
@@ -33,11 +36,13 @@ from fnn_ekf_ros.simulation.robot import (
 from fnn_ekf_ros.study.recording import Recording
 
 STEPS_PER_PERIOD = round(NOMINAL_PERIOD_S / STEP_S)
+"""Steps of the simulation in a period of 375 ms."""
 NOMINAL_MEASUREMENT_NOISE: FloatArray = np.square([*MEASUREMENT_STD, YAW_STD])
 """Diagonal of R where nothing is wrong, rows as in `Row` (m^2, m^2, rad^2, rad^2)."""
 MEASURED = np.array([True, True, True, False])
 """Rows that the simulated sensors measure."""
-FIX_ROWS = slice(Row.X, Row.COMPASS_YAW)
+POSITION_SLICE = slice(Row.X, Row.COMPASS_YAW)
+"""Rows of the x and y of a fix."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +57,7 @@ class Scenario:
         compass_bias: added to the compass [rad].
         lost: rows that are not measured.
         wheel_inequality: part by which the left wheel is larger than the right one; their mean
-            is what the filters are told of both.
+            is configured for both.
         outlier_share: part of the fixes whose standard deviation is `outlier_scale` times larger.
         outlier_scale: see there.
         fix_correlation: correlation of the errors of two successive fixes; their variance stays.
@@ -69,6 +74,7 @@ class Scenario:
 
 
 NOMINAL = Scenario()
+"""White Gaussian noise of known size."""
 
 
 class Drive(NamedTuple):
@@ -76,7 +82,7 @@ class Drive(NamedTuple):
 
     Attributes:
         truth: `(T + 1, n, 3)` true poses, the start first (m, m, rad; map frame).
-        travel: `(T + 1, n, 2)` way of the left and right wheel's rim since the start [m].
+        travel: `(T + 1, n, 2)` distance of the left and right wheel's rim since the start [m].
     """
 
     truth: FloatArray
@@ -126,7 +132,7 @@ def sense(
     """Return what encoders, fixes and compass say of a drive.
 
     The true noise that is noted for the oracle is that of each step, of outliers their variance
-    on average. It says nothing of biases, of colour and of unequal wheels: no Q and R can.
+    on average. It does not describe biases, correlation in time and unequal wheels: no Q and R can.
 
     Args:
         robot: geometry and the slip it was driven with.
@@ -141,13 +147,13 @@ def sense(
     R = np.tile(NOMINAL_MEASUREMENT_NOISE, (steps, 1))
     R[event] *= scenario.measurement_scale
 
-    noise = _coloured(rng.standard_normal((steps, runs, MEASUREMENT_SIZE)), scenario)
+    noise = _correlated(rng.standard_normal((steps, runs, MEASUREMENT_SIZE)), scenario)
     outlier = rng.random((steps, runs)) < scenario.outlier_share
-    noise[..., FIX_ROWS] *= np.where(outlier, scenario.outlier_scale, 1.0)[..., None]
+    noise[..., POSITION_SLICE] *= np.where(outlier, scenario.outlier_scale, 1.0)[..., None]
     z = driven.truth[1:, :, [0, 1, 2, 2]] + noise * np.sqrt(R)[:, None, :]
     z[event, :, Row.COMPASS_YAW] += scenario.compass_bias
     z[..., Row.COMPASS_YAW :] = wrap_angle(z[..., Row.COMPASS_YAW :])
-    R[:, FIX_ROWS] *= 1.0 + scenario.outlier_share * (scenario.outlier_scale**2 - 1.0)
+    R[:, POSITION_SLICE] *= 1.0 + scenario.outlier_share * (scenario.outlier_scale**2 - 1.0)
 
     available = np.tile(MEASURED, (steps, runs, 1))
     available[event, :, list(scenario.lost)] = False
@@ -178,18 +184,18 @@ def record(
     return sense(robot, scenario, drive(robot, scenario, steps, runs, drive_rng), sensor_rng)
 
 
-def _coloured(white: FloatArray, scenario: Scenario) -> FloatArray:
+def _correlated(white: FloatArray, scenario: Scenario) -> FloatArray:
     """Return noise of the same variance whose fixes are an AR(1) process."""
     rho = scenario.fix_correlation
     noise = white.copy()
     for step in range(1, len(noise)):
-        noise[step, :, FIX_ROWS] *= (1.0 - rho**2) ** 0.5
-        noise[step, :, FIX_ROWS] += rho * noise[step - 1, :, FIX_ROWS]
+        noise[step, :, POSITION_SLICE] *= (1.0 - rho**2) ** 0.5
+        noise[step, :, POSITION_SLICE] += rho * noise[step - 1, :, POSITION_SLICE]
     return noise
 
 
 def _control(robot: FakeRobotParameters, scenario: Scenario, driven: Drive) -> FloatArray:
-    """Return [dS, dtheta] `(T, n, 2)` (m, rad) from counts by the geometry the filters believe."""
+    """Return [dS, dtheta] `(T, n, 2)` (m, rad) from counts by the configured geometry."""
     half = 0.5 * scenario.wheel_inequality
     rolled = driven.travel / np.array([1.0 + half, 1.0 - half])
     counts = encoder_counts(robot, RobotState(driven.truth, rolled, np.zeros(())))

@@ -1,4 +1,7 @@
-"""How far tracks are off, next to an oracle that knows the true noise, and how honest they are.
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Errors of estimates, beside an oracle that knows the true noise, and their consistency.
 
 Errors of a run are correlated in time, runs are independent: every confidence interval is taken
 over the runs, never over the steps.
@@ -9,27 +12,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray
+from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.study.intervals import (
     Interval,
     chi_square_band,
     mean_interval,
     root_ratio_interval,
 )
-from fnn_ekf_ros.study.recording import Track
+from fnn_ekf_ros.study.recording import Estimates
 
 LOST_FACTOR = 10.0
-"""A run has diverged once its position is off by so many times the oracle's RMS error."""
+"""Largest position error of a run that has not diverged, in multiples of the oracle's RMS error."""
 
 
 class Errors(NamedTuple):
-    """A track held against the truth.
+    """Estimates held against the truth.
 
     Attributes:
         error: `(T, ..., n, 3)` estimate minus truth, yaw wrapped (m, m, rad).
         nees: `(T, ..., n)` e' P^-1 e.
-        nis: `(T, ..., n)` normalised innovation squared.
+        nis: `(T, ..., n)` normalized innovation squared.
         degrees_of_freedom: `(T, ..., n)` of `nis`.
     """
 
@@ -40,14 +43,14 @@ class Errors(NamedTuple):
 
 
 class Score(NamedTuple):
-    """What a batch of runs comes to over some steps; the leading dimensions are the tracks'.
+    """What a batch of runs comes to over some steps; the leading dimensions are the estimates'.
 
     Attributes:
         rmse: `(..., 3)` mean over the runs of each run's root mean square error (m, m, rad).
         ratio: `(..., 3)` root mean square error of all runs as a ratio to the oracle's.
-        nees: `(...)` mean; 3 where the covariance is honest.
+        nees: `(...)` mean; 3 where the covariance is consistent.
         nees_inside: `(...)` share of the steps at which the mean over the runs is inside its 95 %
-            chi-square band; 0.95 where the covariance is honest.
+            chi-square band; 0.95 where the covariance is consistent.
         nees_band: that band.
         nis: `(...)` sum of NIS over the sum of its degrees of freedom; 1 where the filter expects
             what it sees; NaN where it sees nothing.
@@ -67,20 +70,21 @@ class Score(NamedTuple):
     diverged: FloatArray
 
 
-def compare(track: Track, truth: FloatArray) -> Errors:
-    """Return the errors of a track.
+def compare(estimates: Estimates, truth: FloatArray) -> Errors:
+    """Return the errors of estimates.
 
     Args:
-        track: `(T, ..., n)`.
+        estimates: `(T, ..., n)`.
         truth: `(T + 1, n, 3)` true poses, the start first (m, m, rad).
     """
     true_pose = truth[1:].reshape(
-        len(truth) - 1, *(1,) * (track.mean.ndim - 3), *truth.shape[1:]
+        len(truth) - 1, *(1,) * (estimates.mean.ndim - 3), *truth.shape[1:]
     )  # fmt: skip
-    error = track.mean - true_pose
-    error[..., 2] = wrap_angle(error[..., 2])
-    nees = np.sum(error * np.linalg.solve(track.covariance, error[..., None])[..., 0], axis=-1)
-    return Errors(error, nees, track.nis, track.degrees_of_freedom)
+    error = pose_errors(estimates.mean, true_pose)
+    nees = np.sum(error * np.linalg.solve(estimates.covariance, error[..., None])[..., 0], axis=-1)
+    return Errors(
+        error=error, nees=nees, nis=estimates.nis, degrees_of_freedom=estimates.degrees_of_freedom
+    )
 
 
 def rms_over_runs(errors: Errors) -> FloatArray:
@@ -127,7 +131,7 @@ def score(errors: Errors, oracle: Errors, steps: slice) -> Score:
 
 
 def join_scores(parts: Sequence[Score]) -> Score:
-    """Return the score of several batches of tracks as one, along the first of their dimensions.
+    """Return the score of several batches of estimates as one, along the first of their dimensions.
 
     Args:
         parts: with the same runs and steps; at least one, each with a leading dimension.

@@ -1,5 +1,10 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Starts that are right or wrong about the noise."""
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -7,10 +12,11 @@ import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.study.recording import Recording, Start
 
 FACTORS = (1.0 / 25.0, 1.0 / 4.0, 1.0, 4.0, 25.0)
-"""Assumed over true variance, standard deviations wrong by up to five."""
+"""Assumed over true variance: standard deviations are wrong by up to a factor of five."""
 
 
 class Cell(NamedTuple):
@@ -26,8 +32,11 @@ class Cell(NamedTuple):
 
 
 RIGHT = Cell(1.0, 1.0)
+"""The start with the true noise."""
 ALL_CELLS = tuple(Cell(q, k) for q in FACTORS for k in FACTORS)
+"""All 25 starts, by q, then k."""
 CORNERS = tuple(Cell(q, k) for q in (FACTORS[0], FACTORS[-1]) for k in (FACTORS[0], FACTORS[-1]))
+"""The starts whose Q and R are both wrong by 25."""
 
 
 def starts(
@@ -40,7 +49,7 @@ def starts(
     """Return starts `(cells, n)`, one for each cell and run.
 
     The pose is the true one plus N(0, P0), with P0 the true R of x, y and yaw: the first fix of
-    a robot that was just switched on. Every cell is told this P0 and starts at the same pose, so
+    a robot that was just switched on. Every cell has this P0 and starts at the same pose, so
     that cells differ in nothing but Q and R.
 
     Args:
@@ -71,4 +80,25 @@ def starts_at(
         covariance=np.broadcast_to(np.diag(variance), (*batch, 3, 3)),
         process_noise=np.broadcast_to(q * process_noise, (*batch, 2)),
         measurement_noise=np.broadcast_to(k * measurement_noise, (*batch, 4)),
+    )
+
+
+def with_noise_factors(parameters: LocalizerParameters, cell: Cell) -> LocalizerParameters:
+    """Return parameters whose configured Q and R are as wrong as a cell says.
+
+    Args:
+        parameters: with the noise that a factor of 1 stands for.
+        cell: the factors on the variances.
+
+    Raises:
+        ParameterError: the noise would leave its bounds.
+    """
+    q, k = math.sqrt(cell.q), math.sqrt(cell.k)
+    distance, rotation = parameters.process_noise_std
+    x, y, yaw = parameters.measurement_noise_std
+    return dataclasses.replace(
+        parameters,
+        process_noise_std=(q * distance, q * rotation),
+        measurement_noise_std=(k * x, k * y, k * yaw),
+        lrf_yaw_std=k * parameters.lrf_yaw_std,
     )

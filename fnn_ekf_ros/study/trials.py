@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A trial: recordings, starts and the oracle, on which any filter can be scored."""
 
 from collections.abc import Mapping, Sequence
@@ -14,8 +17,8 @@ from fnn_ekf_ros.study.scores import Errors, Score, compare, join_scores, rms_ov
 from fnn_ekf_ros.study.starts import RIGHT, Cell, starts
 
 CELLS_AT_ONCE = 5
-"""So many cells of a hundred runs go through a filter as one batch: more fall out of the cache
-and are slower, fewer pay for Python."""
+"""Number of starts of a hundred runs that go through a filter as one batch: more fall out of the
+cache and are slower, with fewer the overhead of Python dominates."""
 
 
 class Size(NamedTuple):
@@ -132,7 +135,14 @@ def make_trial(
     start = starts(recording, Q, NOMINAL_MEASUREMENT_NOISE, cells, start_rng)
     known = Start(*(array[0] for array in start))
     errors = compare(oracle.run(recording, known), recording.truth)
-    trial = Trial(name, recording, tuple(cells), start, ranges, errors)
+    trial = Trial(
+        name=name,
+        recording=recording,
+        cells=tuple(cells),
+        start=start,
+        ranges=ranges,
+        oracle=errors,
+    )
     return _as_another_process_gets_it(trial)
 
 
@@ -165,11 +175,6 @@ def join_outcomes(parts: Sequence[Outcome]) -> Outcome:
         rms=np.concatenate([part.rms for part in parts], axis=1),
         first_run=np.concatenate([part.first_run for part in parts], axis=1),
     )
-
-
-def try_filter(trial: Trial, study_filter: StudyFilter) -> Outcome:
-    """Run a filter from every start of a trial and score it."""
-    return join_outcomes([try_block(trial, study_filter, each) for each in blocks(trial.cells)])
 
 
 def oracle_outcome(trial: Trial, oracle: StudyFilter) -> Outcome:

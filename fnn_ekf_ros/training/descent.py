@@ -1,15 +1,18 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Steepest descent on a network's parameters (Nguyen et al., eqs. 23 and 24).
 
     E_k = (z_k - t_k)^2 / 2                                                     (23)
     p <- p - eta dE/dp,   E = mean of E_k,   dE/dp = mean of (z_k - t_k) dz_k/dp   (24)
 
-with the network's output z_k on input k, the wanted output t_k and every parameter p. The paper
-does not say whether p moves after each pair or after all of them. Here it moves after all: the
-result does not depend on the pairs' order, and with a small rate the loss can only fall. The
+with the network's output z_k for input k, the target t_k and every parameter p. The paper does not
+say whether p is changed after each pair or after all of them. Here it is changed after all: the
+result does not depend on the order of the pairs, and with a small rate the loss decreases. The
 means may be weighted.
 
-One rate serves all parameters, so inputs and outputs should be of order 1; whoever calls scales.
-Nothing here knows what the network is: a vector of parameters, its output and its gradient.
+One rate is used for all parameters, so the caller has to scale inputs and outputs to order 1. The
+network is given by its output and its gradient as functions of a vector of parameters.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,12 +26,12 @@ from fnn_ekf_ros.core.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class LearningNetwork:
-    """A network as descent sees it; p is the vector `(m,)` of its parameters.
+    """A network with a vector p `(m,)` of parameters.
 
     Attributes:
         output: takes p and inputs `(n, ...)`, returns outputs `(n,)`.
-        gradient: takes the same, returns the derivatives `(m, n)` of the outputs by p.
-        feasible: takes p, returns the nearest parameters that make sense.
+        gradient: takes the same, returns the derivatives `(m, n)` of the outputs with respect to p.
+        feasible: takes p, returns the nearest valid parameters.
     """
 
     output: Callable[[FloatArray, FloatArray], FloatArray]
@@ -37,7 +40,7 @@ class LearningNetwork:
 
 
 class Epoch(NamedTuple):
-    """Where descent is.
+    """The parameters after some steps of descent.
 
     Attributes:
         parameters: `(m,)` p.
@@ -56,13 +59,13 @@ def descend(
     rate: float,
     weight: FloatArray | None = None,
 ) -> Iterator[Epoch]:
-    """Yield the start, then the parameters after each step; never ends.
+    """Yield the start, then the parameters after each step, without end.
 
     Args:
-        network: what learns.
+        network: the network that learns.
         start: `(m,)` parameters to start from; not changed.
         inputs: `(n, ...)` of the training set.
-        targets: `(n,)` wanted outputs.
+        targets: `(n,)` of the training set.
         rate: eta.
         weight: `(n,)` of the pairs, with the sum 1; None for equal ones.
     """
@@ -74,7 +77,7 @@ def descend(
 
     p = np.asarray(start, dtype=np.float64)
     while True:
-        with np.errstate(all="ignore"):  # a rate far too large overflows: the loss tells
+        with np.errstate(all="ignore"):  # a rate far too large overflows, which shows in the loss
             excess = network.output(p, inputs) - targets
             loss = 0.5 * float(mean(excess**2))
         yield Epoch(p, loss)

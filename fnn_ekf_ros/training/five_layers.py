@@ -1,4 +1,7 @@
-"""The five-layer network of core.fuzzy as something that learns."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The five-layer network of `core.fuzzy` for steepest descent."""
 
 import numpy as np
 
@@ -8,15 +11,16 @@ from fnn_ekf_ros.core.fuzzy import FuzzySets, infer, infer_gradient
 from fnn_ekf_ros.training.descent import LearningNetwork
 
 UNITS_PER_SCALE = 15.0
-"""Scales of the training set, counted in the unit of a membership file. The paper's initial P and
-N are half true at 17 and 13: so that they are where the filter's D is when all is right."""
+"""Units of a membership file per scale of the training set. The scale is the spread of D where R is
+right; the paper's initial P and N have a membership of one half at 17 and 13, near that spread."""
 SMALLEST_SLOPE = 0.01
-"""No slope falls below this in size or changes its sign, where inputs are of order 1: P and D
-keep falling, N and I rising, and the inverses of D and I exist."""
+"""Smallest absolute slope [1 / scale of the training set]. Slopes keep their signs: P and D fall, N
+and I rise, and the inverses of D and I exist."""
 SMALLEST_ZERO_WIDTH = 0.01
-"""Z stays at least so wide, where inputs are of order 1."""
+"""Smallest width of Z [scales of the training set]: width 0 has no derivative."""
 JOINT_SCALE = 0.5
-"""u and change that count as one while mode joint's network learns [log variance]."""
+"""Scale of u and of the change while mode joint's network learns [log variance]: with it both are
+of order 1."""
 
 _SLOPES = [index for index, name in enumerate(FuzzySets._fields) if name.endswith("_slope")]
 _MAINTAIN_WIDTH = FuzzySets._fields.index("maintain_width")
@@ -24,7 +28,7 @@ _ZERO_WIDTH = FuzzySets._fields.index("zero_width")
 
 
 def as_sets(parameters: FloatArray) -> FuzzySets:
-    """Return a vector of parameters `(12,)` by their names."""
+    """Return the sets with a vector of parameters `(12,)` in the order of `FuzzySets`."""
     return FuzzySets(*parameters.tolist())
 
 
@@ -32,7 +36,7 @@ def five_layers(start: FuzzySets) -> LearningNetwork:
     """Return the network with inputs D and outputs dR, both in the sets' unit.
 
     Args:
-        start: the sets that learn first; their slopes' signs are kept.
+        start: the sets before learning; the signs of their slopes are kept.
     """
     signs = np.where(np.array(start)[_SLOPES] < 0.0, -1.0, 1.0)
 
@@ -53,11 +57,12 @@ def five_layers(start: FuzzySets) -> LearningNetwork:
 def odd_layers(start: FuzzySets) -> LearningNetwork:
     """Return the network of mode joint, with inputs -u and outputs in `JOINT_SCALE`.
 
-    P is kept the mirror image of N, D that of I, and Z and M in the middle, by which the network
-    is odd. Pairs that are odd would keep it so by themselves, but for rounding.
+    After each step P is made the mirror image of N, and D that of I; Z and M are centered at 0. So
+    the network stays an odd function. With an odd training set it would stay odd without this,
+    except for rounding.
 
     Args:
-        start: the sets that learn first.
+        start: the sets before learning.
     """
     layers = five_layers(start)
 
@@ -89,31 +94,35 @@ def mirrored(sets: FuzzySets) -> FuzzySets:
 
 
 def joint_network(sets: FuzzySets, change_limit: float) -> FuzzyNetwork:
-    """Return what a membership file holds of mode joint's sets, in numbers of six digits.
+    """Return mode joint's sets as a membership file holds them, in numbers of six digits.
 
     Args:
         sets: the sets in `JOINT_SCALE`.
         change_limit: universe of the consequents [log variance].
     """
     ours = in_unit(sets, 1.0 / JOINT_SCALE)
-    return FuzzyNetwork(FuzzySets(*map(_six_digits, ours)), 1.0, 1.0, change_limit)
+    return FuzzyNetwork(
+        sets=FuzzySets(*map(_six_digits, ours)),
+        position_unit=1.0,
+        yaw_unit=1.0,
+        change_limit=change_limit,
+    )
 
 
 def first_sets(network: FuzzyNetwork) -> FuzzySets:
-    """Return the sets descent starts from, in scales of the training set.
+    """Return the sets from which descent starts, in scales of the training set.
 
-    The file's numbers are taken as they are; what they count in, and the share of the whole error
-    that a step goes, are the training set's to say. Steepest descent is blind in two places of
-    the paper's initial sets, which are mended: a crisp D (slope 0) has no inverse and no
-    derivative by its slope, and starts as the mirror image of I; a Z narrower than what D
-    scatters when all is right fires nowhere, and starts as wide as that.
+    The numbers of the file are used without its units, which the training set determines. Two of
+    the paper's initial sets have no usable gradient and are replaced: a crisp D (slope 0) has no
+    inverse and no derivative with respect to its slope, and starts as the mirror image of I; a Z
+    that is narrower than the spread of D where R is right hardly fires, and starts with that width.
     """
     sets = network.sets
-    mended = sets._replace(
+    replaced = sets._replace(
         decrease_slope=sets.decrease_slope or -sets.increase_slope,
         zero_width=max(sets.zero_width, UNITS_PER_SCALE),
     )
-    return in_unit(mended, UNITS_PER_SCALE)
+    return in_unit(replaced, UNITS_PER_SCALE)
 
 
 def learned_network(
@@ -123,13 +132,13 @@ def learned_network(
     change_scale: float,
     change_limit: float,
 ) -> FuzzyNetwork:
-    """Return what a membership file holds of learned sets, in numbers of six digits.
+    """Return learned sets as a membership file holds them, in numbers of six digits.
 
     Args:
         sets: the sets in scales of the training set.
-        position_scale: its scale of D in position rows [m^2].
-        yaw_scale: its scale of D in yaw rows [rad^2].
-        change_scale: its scale of dR [scales of D].
+        position_scale: scale of D in position rows [m^2].
+        yaw_scale: scale of D in yaw rows [rad^2].
+        change_scale: scale of dR [scales of D].
         change_limit: universe of the consequents [the file's unit].
     """
     ours = in_unit(_with_change_scaled(sets, change_scale), 1.0 / UNITS_PER_SCALE)
@@ -142,7 +151,7 @@ def learned_network(
 
 
 def in_unit(sets: FuzzySets, unit: float) -> FuzzySets:
-    """Return the same functions with arguments counted in a unit so many times as large."""
+    """Return the same functions of arguments in a unit that is `unit` times as large."""
     return FuzzySets(
         *(
             value * unit if name.endswith("_slope") else value / unit
@@ -152,7 +161,7 @@ def in_unit(sets: FuzzySets, unit: float) -> FuzzySets:
 
 
 def _with_change_scaled(sets: FuzzySets, factor: float) -> FuzzySets:
-    """Return sets whose output is so many times as large."""
+    """Return sets whose output is `factor` times as large."""
     return sets._replace(
         decrease_slope=sets.decrease_slope / factor,
         decrease_center=sets.decrease_center * factor,

@@ -1,33 +1,36 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The crisp training set {(u_k, dtheta_k)} of mode joint's network, from simulated robots.
 
-Robots drive the paper's simulations 1 and 2 and are localized by mode joint, which starts with
-noise that is right, or wrong by a factor between 1/25 and 25 in variance (evenly in its
-logarithm, each of the four log scales theta by its own). At each step at which the settled
-learner learns,
+Robots drive the paper's simulations 1 and 2 and are localized by mode joint. Their configured noise
+is right, or wrong by a factor between 1/25 and 25 in variance, uniform in its logarithm, separately
+for each of the four log scales theta. At each step at which the settled learner learns,
 
-    u                               what its evidence asks for
-    delta = theta* - theta          the step that would have led to the true noise
+    u                               the change that the measurement indicates
+    delta = theta* - theta          the change that would give the true noise
 
-are known of every scale, and the network ought to answer E[delta | u]: of all functions of u, that
-step leaves the smallest mean square error of theta. One u says little (delta scatters by 0.1 to 1
-around a mean of 0.01 to 0.5), so a crisp pair is the mean of all steps with a u of that size, a
-few hundred at the least.
+are known for every scale. The network's target is E[delta | u]: of all functions of u, it gives the
+smallest mean square error of theta. A single u carries little information (delta scatters by 0.1 to
+1 around a mean of 0.01 to 0.5), so a crisp pair is the mean over all steps with a u of similar
+size, at least a few hundred.
 
-How quickly noise should be learned depends on how quickly it changes. Robots whose noise never
-does teach a slope of 0.7 near u = 0 and are slow to see that a robot slips; so one in five meets,
-in the third fifth of its way, slip or sensors that are `EVENT_SCALE` times noisier. That brings
-the slope to 0.9; the natural gradient's own is 1. (After a change the mean of delta does not go
-to 0 with u, because evidence comes late. No continuous odd function can follow that.)
+How quickly noise should be learned depends on how quickly it changes. Robots with constant noise
+alone give a slope of 0.7 near u = 0 and a network that notices slip late. Therefore one robot in
+five has, in the third fifth of its drive, slip or sensors with `EVENT_SCALE` times the variance.
+With these the slope is 0.9; that of the natural gradient is 1. (After a change the mean of delta
+does not go to 0 with u, because the evidence comes late. No continuous odd function can follow
+that.)
 
-The answer near 0 matters most, because u is small most of the time: 95 % of it below 0.1. A pair
-weighs 1 / (|u| + FINEST), by which errors count in proportion to the answer.
+The output near 0 matters most, because 95 % of all |u| are below 0.1. A pair has the weight
+1 / (|u| + FINEST), so that errors count relative to the output.
 
-Two properties are built in rather than learned.
+Two properties are imposed, not learned.
 
-    odd     u and -u make one pair and its mirror image: f(0) = 0, and f is as quick to enlarge
-            noise as to reduce it. The settled learner forgets in 200 steps: a constant answer of
-            0.001 would be balanced by the evidence only where theta is off by about 0.2.
-    bounded a mean beyond `LARGEST_CHANGE` is cut to it.
+    odd     u and -u make one pair and its mirror image: f(0) = 0, and noise is increased as
+            quickly as it is decreased. The settled learner forgets in 200 steps; a constant
+            output of 0.001 would be balanced by the evidence only where theta is off by about 0.2.
+    bounded a mean beyond `LARGEST_CHANGE` is clipped to it.
 """
 
 from typing import NamedTuple
@@ -38,7 +41,7 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row, components_last
 from fnn_ekf_ros.core.evidence import SCALE_COUNT
 from fnn_ekf_ros.core.filter import step
-from fnn_ekf_ros.core.joint_filters import ROW_SCALE
+from fnn_ekf_ros.core.joint_filters import ROW_SCALE, SETTLED
 from fnn_ekf_ros.core.state import FilterModel, start_filter
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -49,45 +52,49 @@ from fnn_ekf_ros.parameters.paper import (
     WHEEL_SEPARATION,
 )
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.study.blocks import block_epochs, block_start
 from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.scenarios import NOMINAL, Scenario, record
+from fnn_ekf_ros.timeline.filter_model import filter_model
+from fnn_ekf_ros.training.training_set import PATHS
 
-PATHS = ("sim1", "sim2")
 RUNS = {"constant": 160, "slip": 20, "noisy sensors": 20}
-"""Robots on each path, by what happens to them."""
+"""Robots on each path, by their scenario."""
 EVENT_SCALE = 25.0
-"""Factor on the variance of slip, or of the fixes and the compass, during the event."""
+"""Factor on the variance of the wheels, or of the fixes and the compass, during an event: five
+times the standard deviation."""
 SCENARIOS = {
     "constant": NOMINAL,
     "slip": Scenario(process_scale=EVENT_SCALE),
     "noisy sensors": Scenario(measurement_scale=EVENT_SCALE),
 }
+"""Events of the robots, by the names of `RUNS`."""
 STEPS = 400
-"""Steps of each robot: 150 s, in which wrong noise has been learned by and large."""
+"""Steps of each robot, 150 s: after them a wrong start's noise has largely been learned."""
 WRONG_BY = 25.0
-"""Noise at the start of the robots that are told a wrong one: up to so many times off."""
+"""Largest factor in variance by which the configured noise is too small or too large, as in the
+studies."""
 RIGHT_SHARE = 0.25
-"""Part of the robots that are told the right noise."""
+"""Part of the robots whose configured noise is right."""
 LARGEST_CHANGE = 1.0
-"""What the network is asked for at the most in one step [log variance]: a factor of 2.7."""
+"""Largest target change per step [log variance], a factor of 2.7."""
 FINEST = 0.05
-"""Intervals of |u| widen in proportion to it beyond this [log variance]."""
+"""|u| beyond which the intervals widen in proportion to it [log variance]."""
 FARTHEST = 3.0
-"""Steps with |u| beyond this are left out; there are hardly any [log variance]."""
+"""Largest |u| of the steps that are used [log variance]; there are hardly any beyond it."""
 INTERVALS = 18
+"""Intervals of |u|; each gives a pair."""
 FEWEST_STEPS = 200
-"""An interval with fewer steps makes no pair: their mean is too uncertain."""
+"""Fewest steps in an interval that gives a pair: the mean of fewer is too uncertain."""
 
 
 class JointObservations(NamedTuple):
-    """What settled learners asked for and what was right; scales as in `evidence.SCALES`.
+    """Steps of settled learners, with the right change; scales as in `evidence.SCALES`.
 
     Attributes:
         asked: `(n, 4)` u [log variance].
         wanted_change: `(n, 4)` delta before the step [log variance].
-        right: `(n,)` whether the robot was told the right noise at the start.
+        right: `(n,)` whether the robot's configured noise was right.
     """
 
     asked: FloatArray
@@ -96,12 +103,12 @@ class JointObservations(NamedTuple):
 
 
 class JointTrainingSet(NamedTuple):
-    """Crisp pairs, by u from the smallest to the largest; each mirrored.
+    """Crisp pairs in the order of u, each with its mirror image.
 
     Attributes:
         asked: `(k,)` u [log variance].
-        wanted_change: `(k,)` what the network ought to answer [log variance].
-        weight: `(k,)` how much a pair counts; their sum is 1.
+        wanted_change: `(k,)` target output of the network [log variance].
+        weight: `(k,)` weights of the pairs; their sum is 1.
     """
 
     asked: FloatArray
@@ -113,8 +120,8 @@ def make_joint_set(network: FuzzyNetwork, rng: np.random.Generator) -> JointTrai
     """Return the training set; it takes about half a minute.
 
     Args:
-        network: what mode joint runs on meanwhile.
-        rng: source of everything random.
+        network: mode joint's network while the pairs are made.
+        rng: source of all random numbers.
     """
     seen = []
     for path, path_rng in zip(PATHS, rng.spawn(len(PATHS)), strict=True):
@@ -132,9 +139,9 @@ def observe_joint(
     """Run mode joint from right and wrong noise over a recording.
 
     Args:
-        recording: of n robots; what is right or wrong at the start is the noise of step 0.
-        network: what mode joint runs on.
-        rng: source of the noise at the start and of the first pose's error.
+        recording: of n robots; the noise of step 0 is the right configured noise.
+        network: mode joint's network.
+        rng: source of the configured noise and of the errors of the first pose.
     """
     runs = recording.truth.shape[1]
     right: BoolArray = np.asarray(rng.random(runs) < RIGHT_SHARE)
@@ -144,7 +151,12 @@ def observe_joint(
     first = R[:3]
     mean = recording.truth[0] + np.sqrt(first) * rng.standard_normal((runs, len(first)))
 
-    start = Start(mean, np.diag(first), Q * assumed[:, :2], R * assumed[:, ROW_SCALE])
+    start = Start(
+        mean=mean,
+        covariance=np.diag(first),
+        process_noise=Q * assumed[:, :2],
+        measurement_noise=R * assumed[:, ROW_SCALE],
+    )
 
     model = _joint_filter(network)
     state = start_filter(model, *block_start(recording, start)[1:])
@@ -156,7 +168,7 @@ def observe_joint(
         if before is None or result.joint is None:
             raise ValueError(f"mode {model.adaptation.mode.value}: expected mode joint")
         u = components_last(result.joint.explained)
-        settled = components_last(before.log_scale[:, 0])
+        settled = components_last(before.log_scale[:, SETTLED])
         learned: BoolArray = np.asarray(np.any(u != 0.0, axis=-1))
         delta = true_scale[t] - np.log(assumed) - settled
         seen.append((u[learned], delta[learned], right[learned]))
@@ -167,7 +179,7 @@ def average(seen: JointObservations) -> JointTrainingSet:
     """Return a crisp pair for each interval of |u|, and its mirror image.
 
     Args:
-        seen: steps of all scales; at least `FEWEST_STEPS` in one of the intervals.
+        seen: steps of all scales, at least `FEWEST_STEPS` in one of the intervals.
     """
     size = np.abs(seen.asked).ravel()
     onward = (np.sign(seen.asked) * seen.wanted_change).ravel()
@@ -190,7 +202,7 @@ def average(seen: JointObservations) -> JointTrainingSet:
 
 
 def _of_scales(recording: Recording) -> FloatArray:
-    """Return the true variance `(T, 4)` that each log scale stands for."""
+    """Return the true variance of each log scale, `(T, 4)`."""
     R = recording.measurement_noise
     return np.concatenate(
         [recording.process_noise, R[:, [Row.X, Row.COMPASS_YAW]]],
@@ -204,7 +216,7 @@ def _joint_filter(network: FuzzyNetwork) -> FilterModel:
         wheel_separation=WHEEL_SEPARATION,
         encoder_counts_per_revolution=ENCODER_COUNTS_PER_REVOLUTION,
         adaptation="joint",
-        compass_gate=0.0,  # every reading teaches: none is wild here, however wrong the start
+        compass_gate=0.0,  # all readings are used: there are no outliers, however wrong the start
         lrf_pose_gate=0.0,
     )
     return filter_model(robot, networks_for(robot)._replace(joint=network))

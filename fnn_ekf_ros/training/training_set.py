@@ -1,22 +1,25 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The crisp training set {(D_k, dR_k)} of eq. 23, from simulated robots whose noise is known.
 
-The paper does not say where its training set came from. Here, robots drive the paper's
-simulations 1 and 2 and are localized by an EKF that is told the right Q, and an R that is held
-at a value which for half of them is right, for the others wrong by a factor between 1/25 and 25
-in variance (evenly in its logarithm, each row by its own). After each step
+The paper does not describe the origin of its training set. Here, robots drive the paper's
+simulations 1 and 2 and are localized by an EKF with the right Q and a constant R. The assumed R is
+right for half of the robots; for the others each row is wrong by a factor between 1/25 and 25 in
+variance, uniform in its logarithm. Each step gives a pair:
 
-    D = S - C_hat               what the network will see                       (14)
-    dR = STEP_SHARE (true R - assumed R)    what it ought to answer
+    D = S - C_hat                           the network's input                 (14)
+    dR = STEP_SHARE (true R - assumed R)    its target output
 
-are a pair. With a share of 0.25 a wrong R would be twice as close after 3 steps, and ten times
-after 8. C_hat is a mean of N innovations: D scatters also where R is right, by about
-sqrt(2 / N) S. What the network learns from such pairs is the mean E[dR | D]: far off it follows
-D, and where D may well be chance it does little.
+With a share of 0.25 the error of a wrong R is halved after 3 steps and a tenth after 8. C_hat is a
+mean of N innovations, so D scatters by about sqrt(2 / N) S even where R is right. From such pairs
+the network learns the mean E[dR | D]: a large D gives a proportional change, a D that may be chance
+a small one.
 
-All three rows share one network, so each is divided by its own scale: the spread of D in robots
-whose R is right. While learning dR counts in `STEP_SHARE` scales, so that far off both sides have
-the same size. Pairs are picked evenly over D, which leaves E[dR | D] as it is and keeps the many
-similar ones from drowning the few that differ.
+All three rows share one network, so each is divided by its own scale, the spread of D in robots
+whose R is right. During learning dR is given in units of `STEP_SHARE` scales, so that inputs and
+targets have the same size far from the right R. Pairs are picked uniformly over D: this leaves
+E[dR | D] as it is, and many similar pairs do not outweigh few different ones.
 """
 
 from typing import NamedTuple
@@ -36,40 +39,45 @@ from fnn_ekf_ros.parameters.paper import (
     WHEEL_SEPARATION,
 )
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.pipeline.configure import filter_model
 from fnn_ekf_ros.study.blocks import block_epochs, block_start
 from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.scenarios import NOMINAL, record
+from fnn_ekf_ros.timeline.filter_model import filter_model
 
 PATHS = ("sim1", "sim2")
+"""Paths of the paper's two simulations."""
 RUNS = 120
 """Robots on each path."""
 STEPS = 240
-"""Steps of each robot."""
+"""Steps of each robot, 90 s: several times the window of 45 innovations."""
 WRONG_BY = 25.0
-"""Assumed R of the robots that are told a wrong one: up to so many times too small or large."""
+"""Largest factor in variance by which a wrong assumed R is too small or too large, as in the
+studies."""
 RIGHT_SHARE = 0.5
-"""Part of the robots that are told the right R."""
+"""Part of the robots whose assumed R is right."""
 STEP_SHARE = 0.25
-"""Part of the way to the true R that the network is asked to go in one step."""
+"""Part of the error of R that one step is to remove."""
 FARTHEST = 20.0
-"""Pairs with a D beyond so many scales are left out: the network is linear there."""
+"""Largest |D| of the pairs [scales]: beyond it the network is linear."""
 FINEST = 1.0
-"""Intervals of D over which pairs are even widen in proportion to D beyond so many scales."""
+"""|D| beyond which the intervals for picking pairs widen in proportion to D [scales]."""
 INTERVALS = 20
+"""Intervals of D in which pairs are picked."""
 PAIRS_PER_INTERVAL = 60
-"""At most; there are hardly robots with a D so far below 0."""
+"""Largest number of pairs picked in an interval; those of a D far below 0 have fewer."""
 
 _ROWS = (Row.X, Row.Y, Row.COMPASS_YAW)
+"""Rows that the simulated sensors measure."""
 _POSITION, _YAW = slice(0, 2), slice(2, 3)
+"""The columns of `_ROWS` that are positions, and the one that is a yaw."""
 
 
 class Observations(NamedTuple):
-    """What filters with known noise saw, row by row: x, y, compass yaw (m^2, m^2, rad^2).
+    """Mismatches of filters with known noise; columns x, y, compass yaw (m^2, m^2, rad^2).
 
     Attributes:
         mismatch: `(n, 3)` D.
-        wanted_change: `(n, 3)` dR.
+        wanted_change: `(n, 3)` target dR.
         settled: `(n, 3)` whether R was right and the window full.
     """
 
@@ -83,8 +91,8 @@ class TrainingSet(NamedTuple):
 
     Attributes:
         mismatch: `(k,)` D [scales].
-        wanted_change: `(k,)` dR [`STEP_SHARE` scales].
-        position_scale: spread of D where R is right, rows x and y [m^2].
+        wanted_change: `(k,)` target dR [`STEP_SHARE` scales].
+        position_scale: standard deviation of D where R is right, rows x and y [m^2].
         yaw_scale: the same of the compass [rad^2].
     """
 
@@ -99,7 +107,7 @@ def make_training_set(window_length: int, rng: np.random.Generator) -> TrainingS
 
     Args:
         window_length: N of eq. 13.
-        rng: source of everything random.
+        rng: source of all random numbers.
     """
     simulation_rng, start_rng, pick_rng = rng.spawn(3)
     seen = [
@@ -114,12 +122,12 @@ def make_training_set(window_length: int, rng: np.random.Generator) -> TrainingS
 
 
 def observe(recording: Recording, window_length: int, rng: np.random.Generator) -> Observations:
-    """Run filters with the right Q and R that are held, right or wrong, over a recording.
+    """Run filters with the right Q and a constant R, right or wrong, over a recording.
 
     Args:
         recording: of n robots with constant noise.
         window_length: N of eq. 13.
-        rng: source of the assumed R and of the start's error.
+        rng: source of the assumed R and of the errors of the first pose.
     """
     runs = recording.truth.shape[1]
     R = recording.measurement_noise[0]
@@ -128,7 +136,12 @@ def observe(recording: Recording, window_length: int, rng: np.random.Generator) 
     assumed = R * np.where(right, 1.0, wrong_by)
     first = R[[*_ROWS]]
     mean = recording.truth[0] + np.sqrt(first) * rng.standard_normal((runs, len(first)))
-    start = Start(mean, np.diag(first), recording.process_noise[0], assumed)
+    start = Start(
+        mean=mean,
+        covariance=np.diag(first),
+        process_noise=recording.process_noise[0],
+        measurement_noise=assumed,
+    )
 
     model = _holding_filter(window_length)
     state = start_filter(model, *block_start(recording, start)[1:])
@@ -145,10 +158,10 @@ def observe(recording: Recording, window_length: int, rng: np.random.Generator) 
 
 
 def pick(seen: Observations, rng: np.random.Generator) -> TrainingSet:
-    """Scale the rows and pick pairs evenly over D.
+    """Scale the rows and pick pairs uniformly over D.
 
     Args:
-        seen: at least one row of each kind settled.
+        seen: with settled positions and yaws.
         rng: source of the choice.
     """
     position, yaw = (
@@ -166,18 +179,23 @@ def pick(seen: Observations, rng: np.random.Generator) -> TrainingSet:
             for number in range(1, INTERVALS + 1)
         ]
     )
-    return TrainingSet(mismatch[picked], wanted[picked], position, yaw)
+    return TrainingSet(
+        mismatch=mismatch[picked],
+        wanted_change=wanted[picked],
+        position_scale=position,
+        yaw_scale=yaw,
+    )
 
 
 def _holding_filter(window_length: int) -> FilterModel:
-    """Return a filter that compares S with the innovations and changes nothing."""
+    """Return a filter that computes D and adapts nothing."""
     robot = LocalizerParameters(
         wheel_radius=WHEEL_RADIUS,
         wheel_separation=WHEEL_SEPARATION,
         encoder_counts_per_revolution=ENCODER_COUNTS_PER_REVOLUTION,
         adaptation="none",
         innovation_window=window_length,
-        compass_gate=0.0,  # every reading teaches: none is wild here, however wrong the start
+        compass_gate=0.0,  # all readings are used: there are no outliers, however wrong the start
         lrf_pose_gate=0.0,
     )
     return filter_model(robot, networks_for(robot))

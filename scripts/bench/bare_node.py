@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A node with the localizer's subscriptions that does nothing but publish an Odometry a period.
 
 It publishes where the localizer would: at the message of the right wheel that is the first one of a

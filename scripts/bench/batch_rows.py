@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rows `batch` and `batch_memory`: many robots at once, as the studies run them."""
 
 from bench.places import tree_of

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Runs a batch of robots through a filter of the studies, of whichever commit it imports."""
 
 from typing import Any

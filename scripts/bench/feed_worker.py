@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Publishes the robot's messages in real time and hears the odom of the node that is measured."""
 
 import os

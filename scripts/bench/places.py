@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What is made for the benchmark in its build folder: packages and the tree of another commit."""
 
 import subprocess

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings of the robot at the benchmark's rates, as bytes of messages and as bags."""
 
 import hashlib

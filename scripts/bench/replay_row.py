@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Row `replay`: an hour of recording through `replay`, beside a copy of the bag."""
 
 from pathlib import Path

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Copies a bag as it is, or runs a command of the package, in a process that does nothing else."""
 
 import runpy

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What is measured: series of numbers, ratios of them, and what they are held against."""
 
 import statistics

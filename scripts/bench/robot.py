@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The robot that all rows use: its geometry, and a drive of it as arrays."""
 
 from typing import Any, NamedTuple

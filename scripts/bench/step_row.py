@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Row `step`: one filter step of one robot, beside filterpy's EKF."""
 
 from bench.places import packages

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Times steps of one robot's filter, the package's and filterpy's, in blocks that take turns."""
 
 from collections.abc import Callable
@@ -16,11 +19,12 @@ Stepper = Callable[[FloatArray, FloatArray], FloatArray]
 
 def own(adaptation: str, mean: FloatArray) -> Stepper:
     """Return the package's filter as a function that takes a step and returns the mean."""
-    from fnn_ekf_ros.core.filter import Epoch, step
+    from fnn_ekf_ros.core.filter import step
+    from fnn_ekf_ros.core.results import Epoch
     from fnn_ekf_ros.core.state import start_filter
     from fnn_ekf_ros.membership.files import networks_for
     from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-    from fnn_ekf_ros.pipeline.configure import filter_model
+    from fnn_ekf_ros.timeline.filter_model import filter_model
 
     parameters = LocalizerParameters(**GEOMETRY, adaptation=adaptation)
     model = filter_model(parameters, networks_for(parameters))

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The same EKF as a user of filterpy writes it: 3 states, 4 measured rows, yaws wrapped."""
 
 from math import cos, pi, sin

@@ -1,6 +1,9 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Worker processes: a module of this folder in a process of its own, asked line by line.
 
-A worker imports the package from the tree that it is told, which may be that of another commit.
+A worker imports the package from a given tree, which may be that of another commit.
 It answers a request, a line of JSON, with a line of JSON.
 """
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Rows of the fault matrix as processes: `fake_robot` and `localizer`, recorded."""
 
 import os
@@ -11,18 +14,18 @@ from pathlib import Path
 
 import yaml
 
-from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.parameters.faults import TOPICS
-from fnn_ekf_ros.ros.record import Recorder
-from fnn_ekf_ros.tools.fault_runs import (
+from faults.scenarios import (
     END_S,
     RECORDED,
     SWITCHED_ON_S,
     TRUTH_INTERVAL_NS,
-    Row,
+    FaultScenario,
     Run,
     read_run,
 )
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.faults import TOPICS
+from fnn_ekf_ros.ros.record import Recorder
 
 SEED = 1
 PATIENCE_S = 60.0
@@ -64,7 +67,7 @@ def running(log: Path, arguments: Sequence[str]) -> Iterator[subprocess.Popen[by
                 process.wait()
 
 
-def record(given: Row, folder: Path, rate: float) -> None:
+def record(given: FaultScenario, folder: Path, rate: float) -> None:
     """Run a row's processes in a folder and record them until the robot's time is over.
 
     Raises:
@@ -122,7 +125,7 @@ def wait(
             raise FnnEkfError(f"not done after {patience_s:g} s")
 
 
-def run_row(given: Row, folder: Path, rate: float) -> Run:
+def run_row(given: FaultScenario, folder: Path, rate: float) -> Run:
     """Run a row in a folder, so many times as fast as real time, and return what was recorded.
 
     Raises:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings of the rows of the fault matrix, and the document that is made of them.
 
 A recording has a note beside it that says which code made it. The document is made of recordings
@@ -12,11 +15,11 @@ import subprocess
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from faults import tables as fault_tables
+from faults.matrix import judge
+from faults.scenarios import FaultScenario, Run, read_run
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.text_files import write_text
-from fnn_ekf_ros.tools import fault_tables
-from fnn_ekf_ros.tools.fault_matrix import judge
-from fnn_ekf_ros.tools.fault_runs import Row, Run, read_run
+from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.version import version
 
 CODE = ("fnn_ekf_ros", "scripts/fault_matrix.py", "scripts/faults")
@@ -54,7 +57,7 @@ def _git(root: Path, *arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def chosen(rows: Sequence[Row], words: Sequence[str]) -> list[Row]:
+def chosen(rows: Sequence[FaultScenario], words: Sequence[str]) -> list[FaultScenario]:
     """Return the rows with one of some words in their names.
 
     Raises:
@@ -77,21 +80,23 @@ class Recordings:
         undisturbed: the rows without a fault, by whether the encoders are ticks.
     """
 
-    def __init__(self, folder: Path, rows: Sequence[Row], undisturbed: dict[bool, Row]) -> None:
+    def __init__(
+        self, folder: Path, rows: Sequence[FaultScenario], undisturbed: dict[bool, FaultScenario]
+    ) -> None:
         self._folder, self._rows, self._undisturbed = folder, rows, undisturbed
 
-    def place(self, row: Row) -> Path:
+    def place(self, row: FaultScenario) -> Path:
         """Return the folder of a row's recording."""
         return self._folder / re.sub(r"[^a-z0-9]+", "-", row.name.lower()).strip("-")
 
-    def new_place(self, row: Row) -> Path:
+    def new_place(self, row: FaultScenario) -> Path:
         """Return the folder to run a row in, empty; a recording it may have stays as it is."""
         place = self.place(row)
         new = place.with_name(f".{place.name}{NEW}")
         shutil.rmtree(new, ignore_errors=True)
         return new
 
-    def keep(self, row: Row, made_by: str) -> None:
+    def keep(self, row: FaultScenario, made_by: str) -> None:
         """Put what was recorded in a row's new place into the place of its recording.
 
         Raises:
@@ -111,7 +116,7 @@ class Recordings:
         for new in self._folder.glob(f".*{NEW}"):
             shutil.rmtree(new, ignore_errors=True)
 
-    def made_by(self, row: Row) -> str:
+    def made_by(self, row: FaultScenario) -> str:
         """Return which code has made a row's recording; empty if there is none or a damaged one."""
         note = self.place(row) / NOTE
         try:
@@ -119,7 +124,7 @@ class Recordings:
         except UnicodeDecodeError:
             return ""
 
-    def missing(self, made_by: str, but: Collection[str] = ()) -> list[Row]:
+    def missing(self, made_by: str, but: Collection[str] = ()) -> list[FaultScenario]:
         """Return the rows that a code has not recorded, but for those with some names."""
         return [r for r in self._rows if r.name not in but and self.made_by(r) != made_by]
 

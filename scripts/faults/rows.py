@@ -1,8 +1,11 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The rows of the fault matrix."""
 
 from typing import Any
 
-from fnn_ekf_ros.tools.fault_runs import LASTS_S, ONSET_S, Row
+from faults.scenarios import LASTS_S, ONSET_S, FaultScenario
 
 BOTH = ("compass", "lrf_pose")
 
@@ -22,17 +25,17 @@ def shown(topic: str) -> str:
     return {"lrf_pose": "fixes"}.get(topic, topic)
 
 
-def of_both(name: str, meaning: str, fault: str, **keys: Any) -> list[Row]:
+def of_both(name: str, meaning: str, fault: str, **keys: Any) -> list[FaultScenario]:
     """Return a lasting fault's rows, of the compass and of the fixes; `keys` the same for both."""
     return [
-        Row(f"{shown(topic)}: {name}", meaning, (lasting(fault, topic=topic, **keys),))
+        FaultScenario(f"{shown(topic)}: {name}", meaning, (lasting(fault, topic=topic, **keys),))
         for topic in BOTH
     ]
 
 
-def row(name: str, meaning: str, *timeline: dict[str, Any], **keys: Any) -> Row:
+def row(name: str, meaning: str, *timeline: dict[str, Any], **keys: Any) -> FaultScenario:
     """Return a row."""
-    return Row(name, meaning, timeline, **keys)
+    return FaultScenario(name, meaning, timeline, **keys)
 
 
 LATE = lasting("delay", topic="lrf_pose", size=0.15)
@@ -40,7 +43,7 @@ UNDISTURBED = {
     False: row("no fault", "joint_states"),
     True: row("no fault, ticks", "ticks, stamped on arrival", ticks=True),
 }
-ROWS: tuple[Row, ...] = (
+ROWS: tuple[FaultScenario, ...] = (
     *UNDISTURBED.values(),
     row("slip", "wet or smooth ground", lasting("slip", factor=5.0)),
     row("unequal wheels", "a flat tire, a load on one side",

@@ -1,9 +1,10 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the tests of the core share: the published membership sets, filters, the textbook EKF."""
 
 import dataclasses
-import importlib.util
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -150,15 +151,3 @@ def model_of() -> Callable[..., FilterModel]:
 @pytest.fixture(scope="session")
 def random_covariances() -> Callable[[np.random.Generator, int, int], FloatArray]:
     return build_covariances
-
-
-@pytest.fixture(scope="session")
-def textbook_step() -> Any:
-    """The independent EKF; loaded by its path, so that no import path has to be set up."""
-    path = Path(__file__).with_name("textbook_ekf.py")
-    spec = importlib.util.spec_from_file_location("textbook_ekf", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.textbook_step

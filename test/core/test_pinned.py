@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Results that may not change when the way to compute them does; see pinned.py."""
 
 import pinned
@@ -5,6 +8,7 @@ import pytest
 
 
 @pytest.mark.parametrize("case", pinned.CASES)
+@pytest.mark.slow
 def test_results_are_what_they_were(case: str) -> None:
     then, now = pinned.kept(case), pinned.compute(case)
     assert then.keys() == now.keys()

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Suspects: the one that does not fit the others is found, and nobody without a reason."""
 
 import dataclasses
@@ -8,10 +11,11 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
-from fnn_ekf_ros.core.filter import Epoch, FilterModel, FilterState, StepResult, step
+from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.motion import displacement
-from fnn_ekf_ros.core.state import start_filter
-from fnn_ekf_ros.core.suspects import LONGEST_LEAD, SUSPECT_COUNT, SUSPECTS, SUSPICION
+from fnn_ekf_ros.core.results import Epoch, StepResult
+from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
+from fnn_ekf_ros.core.suspects import LARGEST_SUSPECT_LEAD, SUSPECT_COUNT, SUSPECTS, SUSPICION
 
 Q, R = np.array([0.02, 0.0175]) ** 2, np.array([0.01, 0.01, 0.018, 0.018])
 START_P = np.diag([0.01, 0.01, 0.018])
@@ -41,7 +45,7 @@ def drive(
 
     Args:
         model: the filter.
-        spoil: takes the time [periods] and returns what is added to the controls that are told,
+        spoil: takes the time [periods] and returns what is added to the measured controls,
             for a whole period, and to the measurements.
         periods: how many.
         runs: how many robots.
@@ -158,9 +162,9 @@ def test_leads_are_capped_together(model: FilterModel) -> None:
     """Who leads by how much stays when a lead is at its cap."""
     state = start_filter(model, np.zeros(3), START_P)
     far = [0.0, 0.0, 0.6, 0.0]  # explained best by the compass
-    after, _ = one_period(model, with_lead(state, [LONGEST_LEAD, 30.0, 0.0]), far)
+    after, _ = one_period(model, with_lead(state, [LARGEST_SUSPECT_LEAD, 30.0, 0.0]), far)
     free, _ = one_period(model, with_lead(state, [20.0, 10.0, 0.0]), far)
-    assert after.lead.max() == LONGEST_LEAD
+    assert after.lead.max() == LARGEST_SUSPECT_LEAD
     np.testing.assert_allclose(after.lead[0] - after.lead[1], free.lead[0] - free.lead[1])
 
 
@@ -197,7 +201,7 @@ def test_a_period_without_measurements_changes_no_lead(model: FilterModel) -> No
 
 
 def test_a_wild_fix_moves_the_filters_by_a_bounded_way(model: FilterModel) -> None:
-    """Twice as wild moves them by far less than twice as much, and the next one is not wild."""
+    """An outlier of twice the size moves them by far less than twice as much; none follows."""
     state = start_filter(model, np.zeros(3), START_P)
     moved = []
     for far in (20.0, 40.0):
@@ -234,6 +238,7 @@ def found_after(leads: FloatArray, who: int) -> FloatArray:
 
 
 @pytest.mark.parametrize(("spoil", "culprit"), CULPRITS)
+@pytest.mark.slow
 def test_a_fault_is_found_as_soon_with_fast_sensors(
     model: FilterModel, spoil: Spoil, culprit: str
 ) -> None:
@@ -248,6 +253,7 @@ def test_a_fault_is_found_as_soon_with_fast_sensors(
     assert np.all(fast_leads[64:, who] - fast_leads[64:, others].max(axis=1) > 6.0)
 
 
+@pytest.mark.slow
 def test_nobody_is_suspected_without_a_reason_by_fast_sensors(model: FilterModel) -> None:
     leads = drive(model, nothing, periods=80, runs=60, rates=FAST)
     assert np.mean(leads > 10.0) < 5e-3, np.mean(leads > 10.0)

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Real nodes in processes of their own, on a ROS domain of their own."""
 
 import ctypes
@@ -246,3 +249,10 @@ def recordings() -> Path:
             f"no recordings of real robots in '{folder}': FNN_EKF_ROS_RECORDINGS names their folder"
         )
     return folder
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Live tests are slow, each of them."""
+    for item in items:
+        if item.get_closest_marker("live") is not None:
+            item.add_marker(pytest.mark.slow)

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters that are set while the localizer runs."""
 
 from collections.abc import Callable
@@ -42,7 +45,7 @@ def test_adaptation_is_changed_and_shown(
 ) -> None:
     opened = bench()
     assert set_one(opened, adaptation="r") == (True, "")
-    assert opened.localizer.pipeline.parameters.adaptation == "r"
+    assert opened.localizer.localizer.parameters.adaptation == "r"
     assert values_now(opened, "adaptation") == ["r"]
     assert "adaptation is r now, was joint" in capfd.readouterr().err
 
@@ -73,13 +76,13 @@ def test_a_refused_change_gives_its_reason_and_changes_nothing(
     bench: MakeBench, values: dict[str, Any], reason: str
 ) -> None:
     opened = bench()
-    before = opened.localizer.pipeline.parameters
+    before = opened.localizer.localizer.parameters
     for ask in (set_one, set_together):
         successful, said = ask(opened, **values)
         assert not successful
         assert reason in said
         assert "\n" not in said
-    assert opened.localizer.pipeline.parameters is before
+    assert opened.localizer.localizer.parameters is before
 
 
 def test_several_that_only_make_sense_together_are_set_together(bench: MakeBench) -> None:
@@ -87,7 +90,7 @@ def test_several_that_only_make_sense_together_are_set_together(bench: MakeBench
     opened = bench("-p", "process_noise_std:=[0.05, 0.05]")
     wide = {"process_noise_std_max": [2, 1], "process_noise_std_min": [0.01, 0.02]}
     assert set_together(opened, adaptation="q", **wide) == (True, "")
-    now = opened.localizer.pipeline.parameters
+    now = opened.localizer.localizer.parameters
     assert now.adaptation == "q"
     assert now.process_noise_std_max == (2.0, 1.0)
     assert now.process_noise_std_min == (0.01, 0.02)
@@ -97,7 +100,7 @@ def test_several_that_only_make_sense_together_are_set_together(bench: MakeBench
     successful, _ = set_together(opened, adaptation="r", process_noise_std_min=[0.1, 0.1])
     assert not successful
     assert values_now(opened, "adaptation") == ["q"]
-    assert opened.localizer.pipeline.parameters is now
+    assert opened.localizer.localizer.parameters is now
 
 
 def test_adaptation_none_is_mended_by_the_parameter(bench: MakeBench) -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """`make demo` that is ended while it plays leaves no process and no file behind."""
 
 import os

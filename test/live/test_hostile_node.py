@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Hostile messages to a real localizer: it lives on, says nothing wrong and forgets nothing.
 
 `make hostile` sends a hundred thousand messages, from other seeds than the few that are sent
@@ -37,7 +40,7 @@ IN_FULL = "FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES" in os.environ
 MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES", "4000"))
 FIRST_SEED = int(os.environ.get("FNN_EKF_ROS_HOSTILE_SEED", "0"))
 CHUNK = 150
-"""So many messages are sent before the node is asked whether it still answers."""
+"""Number of messages between two checks whether the node still answers."""
 PAGE = os.sysconf("SC_PAGE_SIZE")
 GEOMETRY = {"wheel_radius": 0.025, "wheel_separation": 0.6, "encoder_counts_per_revolution": 500.0}
 UNSENDABLE = (AssertionError, OverflowError, TypeError, ValueError)
@@ -68,7 +71,7 @@ class Sender:
         self.node.create_subscription(DiagnosticArray, messages.DIAGNOSTICS, self._keep, 100)
         self.sent = self.unsendable = self.odom = 0
         self.last: deque[Odometry] = deque(maxlen=20)
-        self.health: dict[str, dict[str, str]] = {}
+        self.statuses: dict[str, dict[str, str]] = {}
         self._clients: dict[str, Any] = {}
         self._now_ns = 0
         self._chunk = CHUNK
@@ -167,7 +170,7 @@ class Sender:
 
     def _keep(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            self.health[status.name] = {entry.key: entry.value for entry in status.values}
+            self.statuses[status.name] = {entry.key: entry.value for entry in status.values}
 
     def close(self) -> None:
         self.executor.shutdown()
@@ -220,7 +223,7 @@ def test_a_node_outlives_hostile_messages(processes: Any, sender: Sender) -> Non
     assert sender.odom > sender.sent / 200  # the filter was running
     arrived = sum(
         int(values[key])
-        for values in sender.health.values()
+        for values in sender.statuses.values()
         for key in ("received", "refused", "dropped", "duplicates")
         if key in values
     )

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Playing that keeps pace with a node that is as slow as the test wants it to be."""
 
 import re
@@ -15,8 +18,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.recordings.bag_files import BagReader
 
 pytestmark = pytest.mark.live
 

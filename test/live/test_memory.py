@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The state file of a live localizer."""
 
 import re
@@ -9,8 +12,8 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
-from fnn_ekf_ros.ros import memory
-from fnn_ekf_ros.saved_state import read_state
+from fnn_ekf_ros.localizer.state_file import read_state
+from fnn_ekf_ros.ros import state_keeper as memory
 
 pytestmark = pytest.mark.live
 
@@ -32,9 +35,9 @@ def test_the_state_of_one_node_starts_the_next(
     first = bench(*keep, *START)
     assert not file.exists()
     first.set_clock(5 * 10**9)
-    first.spin_until(first.localizer.pipeline.saved, "the start")
+    first.spin_until(first.localizer.localizer.saved, "the start")
     first.close()
-    saved, _ = read_state(file, first.localizer.pipeline.parameters)
+    saved, _ = read_state(file, first.localizer.localizer.parameters)
     np.testing.assert_array_equal(saved.pose, [1.0, 2.0, 0.5])
 
     second = bench(*keep, "-p", "warm_start:=true")
@@ -42,21 +45,21 @@ def test_the_state_of_one_node_starts_the_next(
     assert "starting from the state of 20" in said
     assert re.search(r"; its pose is of \d+ s, which this clock has not reached", said)
     second.set_clock(7 * 10**9)
-    second.spin_until(second.localizer.pipeline.saved, "the warm start")
-    np.testing.assert_array_equal(second.localizer.pipeline.saved().pose, saved.pose)
+    second.spin_until(second.localizer.localizer.saved, "the warm start")
+    np.testing.assert_array_equal(second.localizer.localizer.saved().pose, saved.pose)
     assert second.call(Trigger, "localizer/reset", Trigger.Request()).success
-    assert second.localizer.pipeline.saved() is None
+    assert second.localizer.localizer.saved() is None
 
 
 def test_without_warm_start_the_file_is_written_only(bench: MakeBench, file: Path) -> None:
     keep = ("-p", f"state_file:={file}")
     first = bench(*keep, *START)
     first.set_clock(5 * 10**9)
-    first.spin_until(first.localizer.pipeline.saved, "the start")
+    first.spin_until(first.localizer.localizer.saved, "the start")
     first.close()
     second = bench(*keep)
     second.set_clock(7 * 10**9)
-    assert second.localizer.pipeline.saved() is None
+    assert second.localizer.localizer.saved() is None
 
 
 def test_the_state_is_written_while_the_node_runs(
@@ -69,7 +72,7 @@ def test_the_state_is_written_while_the_node_runs(
     opened.set_clock(9 * 10**9)
 
     def stamp_ns() -> int:
-        return int(read_state(file, opened.localizer.pipeline.parameters)[0].stamp_ns)
+        return int(read_state(file, opened.localizer.localizer.parameters)[0].stamp_ns)
 
     opened.spin_until(lambda: stamp_ns() > 8 * 10**9, "the next writes")
 
@@ -83,15 +86,16 @@ def test_a_broken_state_is_a_cold_start_and_said(
     warnings = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
     assert len(warnings) == 2
     assert f"the last write of state_file '{file}' was cut off; there is no other" in warnings[0]
-    assert f"state_file '{file}' is of a robot with wheel_radius None" in warnings[1]
+    assert f"state_file '{file}'" in warnings[1]
+    assert "expected the parameters of the robot" in warnings[1]
     left = {entry.name for entry in file.parent.iterdir()}
     assert left == {file.name, f"{file.name}.lock"}
     opened.set_clock(5 * 10**9)
-    opened.spin_until(opened.localizer.pipeline.saved, "the cold start")
+    opened.spin_until(opened.localizer.localizer.saved, "the cold start")
     opened.close()
     assert file.with_name("state.yaml.broken").read_text() == "format_version: 1\n"
     np.testing.assert_array_equal(
-        read_state(file, opened.localizer.pipeline.parameters)[0].pose, [1.0, 2.0, 0.5]
+        read_state(file, opened.localizer.localizer.parameters)[0].pose, [1.0, 2.0, 0.5]
     )
 
 
@@ -100,7 +104,7 @@ def test_a_write_that_fails_is_an_error_in_the_log(
 ) -> None:
     opened = bench("-p", f"state_file:={file}", *START)
     opened.set_clock(5 * 10**9)
-    opened.spin_until(opened.localizer.pipeline.saved, "the start")
+    opened.spin_until(opened.localizer.localizer.saved, "the start")
     file.with_name(f"{file.name}.lock").unlink()
     file.parent.rmdir()
     opened.close()

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings played into live topics, and what the live localizer makes of them."""
 
 import shutil
@@ -10,11 +13,11 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.recordings.bag_files import BagReader
+from fnn_ekf_ros.recordings.scoring import Score, score
+from fnn_ekf_ros.recordings.trajectories import read_trajectory
 from fnn_ekf_ros.ros.record import Recorder
-from fnn_ekf_ros.tools.evaluate import read_track
-from fnn_ekf_ros.tools.scoring import Score, score
 
 pytestmark = pytest.mark.live
 GOOD_NOISE = [
@@ -23,7 +26,7 @@ GOOD_NOISE = [
 ]  # fmt: skip
 """Found by hand for one of the recordings, so that nothing is left to adapt."""
 LONGEST_S = 120.0
-"""So much of a real recording is played; test_real_recordings.py replays all of it."""
+"""Duration of a real recording that is played [s]; test_real_recordings.py replays all of it."""
 
 
 def played(
@@ -98,7 +101,7 @@ def play_once(
 
 def scored(estimate: Path, truth: Path) -> Score:
     with BagReader(estimate) as live, BagReader(truth) as recorded:
-        result = score(read_track(live, "/odom"), read_track(recorded, "/ground_truth"))
+        result = score(read_trajectory(live, "/odom"), read_trajectory(recorded, "/ground_truth"))
     assert result is not None
     return result
 
@@ -127,14 +130,14 @@ def test_live_equals_replay_to_the_last_bit_where_the_player_keeps_pace(
     offline, live = processes.folder / "replayed", processes.folder / "live"
     replayed(processes, drive, ["--params", f"{drive}.yaml", *options])
     with BagReader(offline) as bag:
-        computed = read_track(bag, "/odom")
+        computed = read_trajectory(bag, "/odom")
     play_once(
         processes, patiently, drive, live, ["--params-file", f"{drive}.yaml", *options],
         ["compass", "lrf_pose", "joint_states"], "--rate", 100, "--keep-pace-with", "odom",
         expected=len(computed.time_ns),
     )  # fmt: skip
     with BagReader(live) as bag:
-        published = read_track(bag, "/odom")
+        published = read_trajectory(bag, "/odom")
     np.testing.assert_array_equal(published.time_ns, computed.time_ns)
     np.testing.assert_array_equal(published.pose, computed.pose)
     np.testing.assert_array_equal(published.covariance, computed.covariance)

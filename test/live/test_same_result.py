@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The same result live and in replay, to the last bit."""
 
 from collections.abc import Callable, Iterator
@@ -13,14 +16,14 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.bag_files import BagReader
+from fnn_ekf_ros.recordings.bag_files import BagReader
 from fnn_ekf_ros.ros.record import Recorder
 
 pytestmark = pytest.mark.live
 
 S = 10**9
 COMPARED = 40
-"""So many odom messages are compared."""
+"""Number of odom messages that are compared."""
 RECORDED = {
     "/joint_states": messages.JOINT_STATES_TYPE,
     "/compass": messages.COMPASS_TYPE,
@@ -56,7 +59,7 @@ def numbers(bag: Path) -> dict[int, tuple[float, ...]]:
 
 
 class PatientClock:
-    """A /clock of the test's own, which waits for whoever is behind, however busy the machine is.
+    """A /clock of the test's own, which waits for the slowest node, however busy the machine is.
 
     Args:
         recorder: is spun, too; it hears the robot.
@@ -66,7 +69,7 @@ class PatientClock:
     """The interval of the wheels' messages."""
     ROBOT_LEAD_NS = S // 2
     LOCALIZER_LEAD_NS = round((OUTPUT_DELAY_S + 1.75) * S)
-    """Health is told once a second, of a period that ended `output_delay` before."""
+    """Diagnostics are published once a second, of a period that ended `output_delay` before."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder = recorder

@@ -1,4 +1,7 @@
-"""Whoever offers or asks for a QoS that does not fit is named in the localizer's log."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The log of the localizer names publishers and subscribers whose QoS does not fit."""
 
 from collections.abc import Callable
 from typing import Any

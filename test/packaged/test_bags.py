@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The recordings that are part of the project can be made again by the commands beside them."""
 
 import contextlib
@@ -11,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.recordings.bag_files import BagReader
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ("sim1", "sim2", "round")
@@ -56,6 +59,7 @@ def test_bag_is_small(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_bag_has_the_content_its_command_makes(
     name: str, made_again: Callable[[str], Path]
 ) -> None:
@@ -70,6 +74,7 @@ def test_bag_has_the_content_its_command_makes(
                 assert_same(kept.message(one), again.message(other), where)
 
 
+@pytest.mark.slow
 def test_the_same_command_makes_the_same_bytes(
     tmp_path: Path, made_again: Callable[[str], Path]
 ) -> None:

@@ -1,40 +1,48 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the documents say of the code: links, commands, targets, parameters and numbers."""
 
+import ast
 import re
 from pathlib import Path
 
 import pytest
 import yaml
+from diagnostic_tables import message_tables
 from documents import blocks
 from faults.rows import ROWS
 
 from fnn_ekf_ros import cli
+from fnn_ekf_ros.commands import study_faults, study_rates, study_real
 from fnn_ekf_ros.core import relocation, suspects
 from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
+from fnn_ekf_ros.diagnostics import (
+    fault_isolation,
+    filter_status,
+    frozen,
+    recent_periods,
+    report,
+    stuck_wheel,
+    wheel_sizes,
+)
+from fnn_ekf_ros.diagnostics.messages import MESSAGES, NAMES
+from fnn_ekf_ros.localizer import localizer
 from fnn_ekf_ros.messages import NIS_TOPICS, NOISE_FIELDS, NUMBER_TOPICS, STD_TOPICS
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import FAULTS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, default_of, fields_of
-from fnn_ekf_ros.pipeline import (
-    blame,
-    events,
-    filter_health,
-    frozen,
-    health,
-    pipeline,
-    stuck_wheel,
-    watch,
-    wheel_sizes,
-    wheels,
-)
 from fnn_ekf_ros.study import fault_naming
-from fnn_ekf_ros.tools import study_faults, study_rates, study_real
-from fnn_ekf_ros.tools.study import STUDIES
+from fnn_ekf_ros.study.monte_carlo import STUDIES
+from fnn_ekf_ros.timeline import epochs, events, wheels
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EVERY_DOCUMENT = pytest.mark.parametrize(
+    "path", DOCUMENTS, ids=[str(path.relative_to(ROOT)) for path in DOCUMENTS]
+)
 STUDY_NAMES = {*STUDIES, study_real.NAME, study_faults.NAME, study_rates.NAME}
 NS = 1e9
 
@@ -50,7 +58,7 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+@EVERY_DOCUMENT
 def test_every_relative_link_leads_somewhere(path: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", path.read_text(encoding="utf-8")):
         if re.match(r"\w+:", target):
@@ -62,7 +70,18 @@ def test_every_relative_link_leads_somewhere(path: Path) -> None:
             assert anchor in anchors(file), f"{path.name}: {target}"
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+@EVERY_DOCUMENT
+def test_every_file_that_is_named_exists(path: Path) -> None:
+    """Named from the root, or from the package; NAME stands for any name."""
+    text = path.read_text(encoding="utf-8")
+    for name in re.findall(
+        r"`((?:\.\./)?\w[\w.-]*/(?:[\w./-]*(?:/|\.(?:py|ya?ml|md|sh|png)))?)`", text
+    ):
+        if "NAME" not in name and name != "demo/tracks.png":
+            assert (ROOT / name).exists() or (ROOT / "fnn_ekf_ros" / name).exists(), name
+
+
+@EVERY_DOCUMENT
 def test_every_command_that_is_named_exists(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     named = re.findall(r"(?:-m|ros2 run) fnn_ekf_ros (\S+)", text)
@@ -78,7 +97,7 @@ def test_the_readme_lists_each_command_and_study() -> None:
     assert set(re.findall(r"`(\w+)`", line)) == STUDY_NAMES
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+@EVERY_DOCUMENT
 def test_every_target_of_make_exists(path: Path) -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
     text = path.read_text(encoding="utf-8")
@@ -97,7 +116,34 @@ def test_contributing_names_every_target_of_make_and_every_part_of_the_package()
             assert f"    {part.name} " in text, part.name
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def of_the_layers(name: str) -> dict[str, set[str]]:
+    """Return one of the tables of test_layers.py."""
+    tree = ast.parse((ROOT / "test" / "test_layers.py").read_text(encoding="utf-8"))
+    (found,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.AnnAssign | ast.Assign)
+        and node.value is not None
+        and name in ast.unparse(node).partition(" = ")[0]
+    )
+    return dict(found)
+
+
+def test_architecture_has_the_tables_of_the_layers() -> None:
+    expected = [
+        f"| `{room}` | {', '.join(sorted(may_import))} |".replace("|  |", "| |")
+        for room, may_import in of_the_layers("MAY_IMPORT").items()
+        if room
+    ]
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    _, _, rest = text.partition("| room | may import |\n| --- | --- |\n")
+    assert rest.partition("\n\n")[0].splitlines() == expected
+    for library, rooms in of_the_layers("ONLY_IN").items():
+        phrase = f"{library} in {' and '.join(f'`{room}`' for room in sorted(rooms))}"
+        assert phrase in flat("docs/architecture.md"), phrase
+
+
+@EVERY_DOCUMENT
 def test_every_parameter_that_is_set_exists(path: Path) -> None:
     known = {
         name
@@ -118,47 +164,75 @@ def test_the_robot_of_the_readme_is_one_that_the_localizer_takes() -> None:
 def test_diagnostics_has_the_numbers_of_the_code() -> None:
     text = flat("docs/diagnostics.md")
     stale = f"{events.STALE_NS / NS:g} s"
-    many = f"{blame.MANY_REJECTIONS} or more of its last {watch.READINGS} readings rejected"
+    many = f"{fault_isolation.MANY_REJECTIONS} or more of its last {recent_periods.READINGS}"
+    lasts = f"{recent_periods.LEAD_LASTS_NS / NS:g} s"
     distance, rotation = STANDSTILL
-    band = f"{1.0 - blame.BAND_CHANCE:.1%}".replace("%", " %")
-    lost = f"{filter_health.LOST_POSITION_STD:g} m or the yaw worse than"
+    band = f"{1.0 - fault_isolation.BAND_CHANCE:.1%}".replace("%", " %")
     for phrase in (
-        f"none, or one wheel silent, for {stale}",
-        f"none yet, or silent for {stale}",
+        f"no reading of either wheel; ERROR after {stale}",
+        f"no reading of either wheel for {stale}",
+        f"no reading of it {stale} after the first one of the other wheel",
+        f"no reading of it for {stale}",
+        f"no reading for {stale} (`lrf_pose`: not counting time in which the robot stands)",
         f"{wheels.ARRIVAL_SLACK_S:g} s (ticks) or {wheels.STAMP_SLACK_S:g} s (`joint_states`)",
-        f"after more than {wheels.SILENCE_NS / NS:g} s of silence to within that "
-        f"{wheels.ARRIVAL_SLACK_S:g} s or {wheels.STAMP_SLACK_S:g} s of 0",
+        f"after more than {wheels.SILENCE_NS / NS:g} s of silence to within the distance of "
+        f"that {wheels.ARRIVAL_SLACK_S:g} s or {wheels.STAMP_SLACK_S:g} s from 0",
         f"unchanged for {stale} or longer",
-        f"turned the robot by {stuck_wheel.SMALLEST_TURN:g} rad or more",
+        f"rotated the robot by {stuck_wheel.SMALLEST_ROTATION:g} rad or more",
         f"by more than {stuck_wheel.SIGMAS:g} standard deviations",
         f"and by more than {100 * stuck_wheel.SMALLEST_PART:g} %",
-        f"{frozen.FROZEN_READINGS} readings or more in a row",
-        f"by {frozen.FROZEN_WAY:g} m (fixes) or turned it by {frozen.FROZEN_TURN:g} rad (compass)",
-        f"{many}, or these scatter more than the {band} band",
-        f"now and {watch.LASTING} readings ago",
+        f"{frozen.FROZEN_READINGS} or more consecutive readings",
+        f"moved the robot by {frozen.FROZEN_DISTANCE:g} m",
+        f"rotated it by {frozen.FROZEN_ROTATION:g} rad",
+        f"more than {epochs.MOST_READINGS_A_SECOND:g} readings a second",
+        f"{many} readings rejected",
+        f"its last {recent_periods.READINGS} readings scatter more than the {band} band",
+        f"readings are at least {recent_periods.APART_NS / 1e6:.0f} ms apart",
+        f"now and {recent_periods.LASTING} readings ago",
         f"less than {1e3 * distance:g} mm and {1e3 * rotation:g} mrad in "
         f"{1e3 * NOMINAL_PERIOD_S:g} ms",
-        f"no fix or no yaw accepted for {filter_health.NOT_CORRECTED_NS / NS:g} s of driving",
-        f"within {100 * filter_health.BOUND_TOLERANCE:g} % of its bound",
-        f"known worse than {lost} {filter_health.LOST_YAW_STD:g} rad (std)",
-        f"stamped more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead",
-        f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods",
+        f"no fix accepted for {filter_status.NOT_CORRECTED_NS / NS:g} s of driving",
+        f"no yaw accepted for {filter_status.NOT_CORRECTED_NS / NS:g} s of driving",
+        f"within {100 * filter_status.BOUND_TOLERANCE:g} % of its bound",
+        f"the position's standard deviation is larger than {filter_status.LOST_POSITION_STD:g} m",
+        f"the yaw's standard deviation is larger than {filter_status.LOST_YAW_STD:g} rad",
+        f"stamp is more than {localizer.LARGEST_LEAD_NS / NS:g} s ahead",
+        f"by more than {localizer.LONGEST_SILENCE_PERIODS} periods",
+        f"for more than {localizer.LONGEST_PAUSE_NS / NS:g} s",
         f"publishes `odom_frame` to `base_frame` for {stale}",
-        f"no other was within {blame.CLEAR_LEAD:g} for {watch.LEAD_LASTS_NS / NS:g} s",
+        f"no other was within {fault_isolation.CLEAR_LEAD:g} for {lasts}",
         f"corrections of the last {wheel_sizes.LOOK_BACK_S:g} s",
         f"off by {100 * wheel_sizes.SMALLEST_PART:g} % or more, which has to be clear by "
         f"{wheel_sizes.SIGMAS:g} standard deviations, and by {wheel_sizes.PART_SIGMAS:g} in each",
         f"for {suspects.SUSPICION**0.5:g} times larger (std)",
-        f"no reading adds more than {suspects.LARGEST_GAIN:g} nats",
-        f"none grows beyond {suspects.LONGEST_LEAD:g}",
-        f"From {blame.SUSPECTED_LEAD:g} nats on",
-        f"Below {blame.SUSPECTED_LEAD:g}, rejections",
-        f"every other suspicion is under {blame.CLEARED_LEAD:g}",
-        f"After {blame.AGREEING} rejected fixes",
-        f"For {health.EXPLAINED_NS / NS:g} s after wheels or a frozen sensor",
-        f"for {len(fault_naming.FAULTS)} faults of one sensor at a time",
+        f"no reading adds more than {suspects.LARGEST_SUSPECT_GAIN:g} nats",
+        f"none grows beyond {suspects.LARGEST_SUSPECT_LEAD:g}",
+        f"From {fault_isolation.SUSPECTED_LEAD:g} nats on",
+        f"Below {fault_isolation.SUSPECTED_LEAD:g}, rejections",
+        f"every other suspicion is under {fault_isolation.CLEARED_LEAD:g}",
+        f"After {fault_isolation.AGREEING} rejected fixes",
+        f"For {report.EXPLAINED_NS / NS:g} s after a fault of the wheels or a frozen sensor",
+        f"for {len(fault_naming.NAMING_CASES)} faults of one sensor at a time",
     ):
         assert phrase in text, phrase
+
+
+def test_diagnostics_lists_every_message_of_every_status_and_no_others() -> None:
+    listed = message_tables()
+    assert listed.keys() == MESSAGES.keys()
+    for status, messages in MESSAGES.items():
+        assert sorted(listed[status]) == sorted(messages), status
+
+
+def test_diagnostics_explains_every_name_in_the_messages() -> None:
+    text = (ROOT / "docs" / "diagnostics.md").read_text(encoding="utf-8")
+    explained = {
+        name: tuple(re.findall(r"`([^`]+)`", meaning))
+        for name, meaning in re.findall(r"^- `<(.+?)>`:(.*\n(?:  .*\n)*)", text, re.MULTILINE)
+    }
+    assert explained == NAMES
+    for messages in MESSAGES.values():
+        assert {name for text in messages for name in re.findall(r"<(.+?)>", text)} <= NAMES.keys()
 
 
 def test_the_table_of_noise_has_each_number_once() -> None:
@@ -208,8 +282,8 @@ def test_time_has_the_defaults_and_limits_of_the_code() -> None:
     for name in ("period", "output_delay", "encoder_timeout"):
         assert f"`{name}` ({default_of(LocalizerParameters, name):g} s)" in text, name
     assert f"up to `history` ({default_of(LocalizerParameters, 'history'):g} s) late" in text
-    assert f"stamps more than {pipeline.LARGEST_LEAD_NS / NS:g} s ahead" in text
-    assert f"ahead by more than {pipeline.LONGEST_SILENCE_PERIODS} periods" in text
+    assert f"stamps more than {localizer.LARGEST_LEAD_NS / NS:g} s ahead" in text
+    assert f"ahead by more than {localizer.LONGEST_SILENCE_PERIODS} periods" in text
 
 
 def test_time_has_the_defaults_of_the_player_and_its_lead_fits_the_localizer() -> None:
@@ -262,7 +336,9 @@ def test_the_rates_of_the_simulated_robot_are_those_of_the_code() -> None:
 def test_the_lists_of_faults_are_as_long_as_the_documents_say() -> None:
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/results.md")
     assert f"{len(FAULTS)} kinds of fault" in flat("docs/operation.md")
-    assert f"**{len(fault_naming.FAULTS)} cases of `study faults`**" in flat("docs/results.md")
+    assert f"**{len(fault_naming.NAMING_CASES)} cases of `study faults`**" in flat(
+        "docs/results.md"
+    )
 
 
 def test_the_fault_matrix_is_of_one_version_and_has_all_rows() -> None:

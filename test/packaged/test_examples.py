@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """The examples of the documents: each command runs, and gives what the document shows."""
 
 import argparse
@@ -12,16 +15,18 @@ from typing import Any
 import pytest
 from documents import COMMAND, DOCUMENTS, ROOT, Block, blocks, examples, files, read
 
-from fnn_ekf_ros.bag_files import BagReader, BagWriter, Record
 from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.commands import study_rates
 from fnn_ekf_ros.messages import INPUT_TYPES, ODOM
 from fnn_ekf_ros.parameters.fake_robot import NODE_NAME as FAKE_ROBOT
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, fields_of
-from fnn_ekf_ros.tools import study_rates
-from fnn_ekf_ros.tools.study import STUDIES
+from fnn_ekf_ros.recordings.bag_files import BagReader, Record
+from fnn_ekf_ros.recordings.bag_writer import BagWriter
+from fnn_ekf_ros.study import rates
+from fnn_ekf_ros.study.monte_carlo import STUDIES
 
 pytest.importorskip("rclpy")
 
@@ -111,6 +116,7 @@ def same_but_for_rounding(shown: str, given: str) -> bool:
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
+@pytest.mark.slow
 def test_an_example_gives_what_the_document_shows(shown: Shown, folder: Path) -> None:
     text = read(shown.document)
     there = write_examples.shown_in(text, shown).group(1)
@@ -135,13 +141,14 @@ def test_the_live_run_of_the_readme_is_its_replay() -> None:
 
 
 @pytest.mark.parametrize("block", OTHERS, ids=lambda block: f"{block.document}: {block.lines[0]}")
+@pytest.mark.slow
 def test_the_commands_of_a_document_run(
     block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, study in STUDIES.items():  # pictures take most of the time; they have other tests
         monkeypatch.setitem(STUDIES, name, study._replace(figures=lambda *_: None))
     monkeypatch.setattr(study_rates, "draw_rates", lambda *_: None)
-    monkeypatch.setattr(study_rates, "RATE_CASES", study_rates.RATE_CASES[:2])
+    monkeypatch.setattr(rates, "RATE_CASES", rates.RATE_CASES[:2])
     for name, text in files(block.document).items():
         (tmp_path / name).write_text(text)
     for word, prepare in PREPARED.items():

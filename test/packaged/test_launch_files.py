@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Launch files: they parse, and whatever they name exists. Needs no ROS."""
 
 import ast

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What is shipped: the manifest, the executables, a plain pip installation."""
 
 import ast
@@ -8,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import license_headers
 import pytest
 from catkin_pkg.package import parse_package
 
@@ -56,6 +60,7 @@ def test_sentences_of_parameters_are_sentences(kind: type) -> None:
         assert spec.doc.endswith("."), name
 
 
+@pytest.mark.slow
 def test_plain_pip_installs_a_package_that_runs(tmp_path: Path) -> None:
     target, source = tmp_path / "installed", tmp_path / "source"
     # pip builds inside the source tree and would take stale files of an earlier build along.
@@ -88,3 +93,18 @@ def test_plain_pip_installs_a_package_that_runs(tmp_path: Path) -> None:
         env=environment, cwd=tmp_path, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert Path(where.stdout.strip()).is_relative_to(target)
+
+
+def test_every_source_file_states_its_copyright_and_license() -> None:
+    lines = license_headers.header(ROOT)
+    assert "Apache-2.0" in lines
+    for path in license_headers.sources(ROOT):
+        text = path.read_text()
+        assert license_headers.with_header(text, lines) == text, path.relative_to(ROOT)
+
+
+def test_a_header_is_written_once_and_below_an_interpreter_line() -> None:
+    lines = license_headers.header(ROOT)
+    assert license_headers.with_header("import os\n", lines) == f"{lines}\nimport os\n"
+    assert license_headers.with_header("#!/bin/sh\ntrue\n", lines) == f"#!/bin/sh\n{lines}\ntrue\n"
+    assert license_headers.with_header(f"{lines}\nx\n", lines) == f"{lines}\nx\n"

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Views for RViz, Foxglove and PlotJuggler: they show what is published. Needs no ROS."""
 
 import json
@@ -12,9 +15,9 @@ import pytest
 import yaml
 
 from fnn_ekf_ros import cli, messages
-from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import default_of
+from fnn_ekf_ros.recordings.bag_files import BagReader
 
 ROOT = Path(__file__).resolve().parents[2]
 

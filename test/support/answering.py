@@ -1,4 +1,7 @@
-"""What processes of `fnn_ekf_ros.tools.workers` do in its tests; a module that they can import."""
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What processes of `study.workers` do in its tests; a module that they can import."""
 
 import os
 import signal

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Banks of filters for tests, and what a correction gives by dense linear algebra."""
 
 import itertools

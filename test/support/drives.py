@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulated robots whose sensors have rates of their own, for tests of the core."""
 
 import math
@@ -6,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.filter import NOMINAL_PERIOD_S, Epoch, FilterModel, FilterState, Shown, fuse
+from fnn_ekf_ros.core.filter import fuse
 from fnn_ekf_ros.core.motion import MotionModel, displacement
-from fnn_ekf_ros.core.pace import STEP_INTERVAL
-from fnn_ekf_ros.core.state import start_filter
+from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S, STEP_INTERVAL
+from fnn_ekf_ros.core.results import Epoch, Shown
+from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 
 TRUE_Q, TRUE_R = np.array([4e-4, 3.046e-4]), np.array([0.01, 0.01, 0.018, 0.018])
 

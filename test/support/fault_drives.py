@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Drives of the simulated robot with faults, and what is heard of them."""
 
 import functools
@@ -6,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from localizers import START_NS
 from rosbags.typesys import Stores, get_typestore
 
 from fnn_ekf_ros.core.angles import wrap_angle
@@ -19,7 +23,6 @@ from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.simulation.delivery import Delivery, Sent
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 
-START_NS = 3 * 10**9
 QUIET: dict[str, Any] = {"slip_std": (0.0, 0.0), "wheel_speed_error": 0.0}
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 

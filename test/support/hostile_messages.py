@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Streams of hostile and ordinary messages, grown from recipes of a few numbers.
 
 A robot drives a winding path and sends what a real one sends. A recipe says for how long which
@@ -20,14 +23,14 @@ TICK_NS = 50_000_000
 """The encoders speak so often; compass and fixes every 2nd and 8th time [ns]."""
 SPEED = 0.3
 """Of the robot [m/s]."""
-METRES_PER_COUNT = 2.0 * math.pi * 0.025 / 500.0
+METERS_PER_COUNT = 2.0 * math.pi * 0.025 / 500.0
 WHEEL_SEPARATION = 0.6
 FIX_STD, COMPASS_STD = 0.05, 0.05
 BEGIN_NS = 1_700_000_000 * 10**9
 LATEST_NS = (2**31 - 100) * 10**9
 """A little before the end of what a stamp can hold [ns]."""
 MOST_HELD = 400
-"""So many messages are on their way at the most."""
+"""Largest number of messages that are delayed at a time."""
 
 Random = np.random.Generator
 
@@ -84,7 +87,7 @@ class Truth(NamedTuple):
 # Numbers ---------------------------------------------------------------------------------------
 
 _MAX = float(np.finfo(np.float64).max)
-WILD = (
+EXTREME = (
     math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, -5e-324, 1e-310, 1e-160, 1e-12, -1e-9, 1e-4,
     0.5, -1.0, 1.0, math.pi, -math.pi, math.nextafter(math.pi, 4.0), 1e3, -1e3, 1e6, 99_999_999.9,
     -99_999_999.9, 1e8, 1e15, 2.0**53 + 2.0, 1e17, -1e154, 1e155, 1e300, _MAX, -_MAX,
@@ -116,16 +119,16 @@ def _log_uniform(rng: Random, low: float, high: float, size: int) -> np.ndarray:
 
 
 def _numbers(rng: Random, message: Message) -> None:
-    """Put wild numbers in the place of some."""
+    """Replace some numbers with extreme ones."""
     for name, value in message.fields.items():
         if isinstance(value, Message):
             _numbers(rng, value)
         elif isinstance(value, float):
             if rng.random() < 0.3:
-                message.fields[name] = _pick(rng, WILD)
+                message.fields[name] = _pick(rng, EXTREME)
         elif isinstance(value, np.ndarray) and value.size:
             hit = rng.random(value.shape) < 0.1
-            value[hit] = rng.choice(WILD, int(np.sum(hit)))
+            value[hit] = rng.choice(EXTREME, int(np.sum(hit)))
 
 
 def _orientation_of(message: Message) -> dict[str, Any] | None:
@@ -173,7 +176,7 @@ def _covariance(rng: Random) -> np.ndarray:
     elif how == 2:
         covariance[0, 1] *= 1.0 + _pick(rng, (1e-9, 1e-5, 1.0))
     elif how == 3:
-        covariance[_pick(rng, (0, 1, 5)), _pick(rng, (0, 1, 5))] = _pick(rng, WILD)
+        covariance[_pick(rng, (0, 1, 5)), _pick(rng, (0, 1, 5))] = _pick(rng, EXTREME)
     return covariance
 
 
@@ -196,9 +199,9 @@ def _joints(rng: Random, message: Message) -> None:
     elif how == 2:
         fields["position"] = fields["position"][: int(rng.integers(2))]
     elif how == 3:
-        fields["position"] = np.append(fields["position"], _pick(rng, WILD))
+        fields["position"] = np.append(fields["position"], _pick(rng, EXTREME))
     elif how == 4:
-        fields["position"] = np.array([_pick(rng, WILD), _pick(rng, WILD)])
+        fields["position"] = np.array([_pick(rng, EXTREME), _pick(rng, EXTREME)])
     else:
         fields["name"], fields["position"] = fields["name"][::-1], np.empty(0)
 
@@ -206,8 +209,8 @@ def _joints(rng: Random, message: Message) -> None:
 def _counts(rng: Random, message: Message) -> None:
     """Jumping counters and wheels."""
     if "data" in message.fields:
-        wild = _pick(rng, INT32) if rng.random() < 0.5 else int(rng.integers(-(2**31), 2**31))
-        message.fields["data"] = wild
+        count = _pick(rng, INT32) if rng.random() < 0.5 else int(rng.integers(-(2**31), 2**31))
+        message.fields["data"] = count
     elif "position" in message.fields:
         jump = rng.normal(size=len(message.fields["position"])) * 10.0 ** rng.uniform(-2.0, 7.0)
         message.fields["position"] = message.fields["position"] + jump
@@ -312,7 +315,7 @@ class Robot:
             names = [parameters.left_joint, parameters.right_joint]
             return [*sent, (messages.JOINT_STATES, joint_states(now_ns, names, radians))]
         left, right = (
-            wrapped(round(way / METRES_PER_COUNT), parameters.encoder_bits) for way in self.way
+            wrapped(round(way / METERS_PER_COUNT), parameters.encoder_bits) for way in self.way
         )
         return [
             *sent,

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Starts and periods of filters for tests, and all bits of what comes of them."""
 
 from collections.abc import Sequence
@@ -5,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fnn_ekf_ros.core.filter import Epoch
+from fnn_ekf_ros.core.results import Epoch
 
 MODES = ("none", "r", "q", "rq", "joint")
 START = np.array([1.0, 2.0, 0.5])

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Results of the filter that may not change: computed here, compared by test_pinned.py.
 
 A change of how the core computes must not change what it computes, as long as each sensor is read
@@ -24,23 +27,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fnn_ekf_ros.bag_files import BagReader
 from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
+from fnn_ekf_ros.messages.reading import read_input
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
+from fnn_ekf_ros.parameters.matching import matching_localizer
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.pipeline.events import (
-    CompassYaw,
-    Event,
-    Output,
-    PoseFix,
-    PoseReset,
-    Wheel,
-    WheelCount,
-)
-from fnn_ekf_ros.pipeline.pipeline import Pipeline
+from fnn_ekf_ros.recordings.bag_files import BagReader
+from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in
 from fnn_ekf_ros.study.filters import study_filters
 from fnn_ekf_ros.study.recording import Recording, Start
 from fnn_ekf_ros.study.scenarios import (
@@ -52,8 +49,16 @@ from fnn_ekf_ros.study.scenarios import (
     sense,
 )
 from fnn_ekf_ros.study.starts import CORNERS, RIGHT, starts
-from fnn_ekf_ros.tools.bag_inputs import TopicNames, inputs_in, read_events
-from fnn_ekf_ros.tools.simulate import matching_localizer
+from fnn_ekf_ros.timeline.events import (
+    CompassYaw,
+    Event,
+    Output,
+    PoseFix,
+    PoseReset,
+    Rejected,
+    Wheel,
+    WheelCount,
+)
 
 FILE = Path(__file__).with_name("pinned.npz")
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -292,13 +297,15 @@ def _events(bag_name: str) -> tuple[Arrival, ...]:
     arrivals = []
     with BagReader(BAGS / bag_name) as bag:
         inputs = inputs_in(bag, parameters, TopicNames([]))
-        pipeline = Pipeline(parameters, networks_for(parameters))
         end_ns = bag.start_ns + max(case.seconds for case in CASES_OF_BAGS.values()) * 1e9
         for record in bag.records(set(inputs)):
             if record.time_ns > end_ns:
                 break
-            events = read_events(pipeline, bag, record, inputs[record.topic])
-            arrivals += [Arrival(record.time_ns, event) for event in events]
+            found = read_input(
+                inputs[record.topic], bag.message(record), record.time_ns, parameters
+            )
+            assert not isinstance(found, Rejected)
+            arrivals += [Arrival(record.time_ns, event) for event in found]
     return tuple(arrivals)
 
 
@@ -323,7 +330,7 @@ def _bag(name: str) -> dict[str, Records]:
     """Return some of the estimates, and the gate's decisions and all reports."""
     case = CASES_OF_BAGS[name]
     parameters = _parameters(case)
-    pipeline = Pipeline(parameters, networks_for(parameters))
+    pipeline = Localizer(parameters, networks_for(parameters))
     outputs: list[Output] = []
     for now_ns, event in _heard(case, parameters):
         outputs += pipeline.add(event, now_ns)
@@ -378,10 +385,10 @@ def _reports(outputs: list[Output]) -> Records:
     """Return the levels of all statuses and the suspects' leads; NaN before the filter runs."""
     rows = []
     for output in outputs:
-        if output.health is None:
+        if output.statuses is None:
             continue
-        levels = {status.name: int(status.level) for status in output.health}
-        (values,) = (dict(status.values) for status in output.health if status.name == "filter")
+        levels = {status.name: int(status.level) for status in output.statuses}
+        (values,) = (dict(status.values) for status in output.statuses if status.name == "filter")
         text = values.get("suspicion [nats]")
         leads = [math.nan] * 3 if text is None else [float(t.split()[-1]) for t in text.split(",")]
         rows.append((output.stamp_ns, *(levels.pop(name) for name in STATUSES), leads))

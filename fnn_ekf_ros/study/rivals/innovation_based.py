@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Q and R from the last innovations: IAE, Mohamed and Schwarz (1999).
 
 With C_hat the mean of r r' over the last N innovations r = z - H x-,
@@ -6,8 +9,9 @@ With C_hat the mean of r r' over the last N innovations r = z - H x-,
     Q = K C_hat K'                  in a steady state; here Q of W Q W'
 
 (Journal of Geodesy 73(4), pp. 193-203.) R as a difference can be negative and is then held at a
-share of C_hat. Only diagonals are adapted. With both, R + H P- H' = C_hat whatever Q is: the pair
-that is settled on need not be the true one.
+share of C_hat. Only diagonals are adapted. R + H P- H' = C_hat whatever Q is: the pair on which the
+filter settles need not be the true one. R alone would be as good as the EKF where Q is right, but
+cannot correct a wrong Q.
 """
 
 from collections.abc import Iterator
@@ -19,19 +23,18 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import (
     MEASUREMENT_SIZE,
-    STATE_OF_ROW,
+    STATES_OF_ROWS,
     BoolArray,
     FloatArray,
     diagonal_of,
     transpose,
 )
 from fnn_ekf_ros.core.bank import Noise, Readings, correct, innovate, wrapped
-from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
-from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
+from fnn_ekf_ros.study.recording import Estimates, Recording, Start
 from fnn_ekf_ros.study.rivals.shared import (
-    AdaptedNoise,
     matmul,
     one_filter,
     period_scale,
@@ -42,16 +45,12 @@ from fnn_ekf_ros.study.rivals.shared import (
     within_limits,
 )
 
-_COMPONENTS = list(STATE_OF_ROW)
-
 
 @dataclass(frozen=True, slots=True)
 class InnovationBasedSettings:
     """Settings of the IAE filter.
 
     Attributes:
-        adapted_noise: what is adapted. R alone is as good as the EKF where Q is right, but cannot
-            mend a wrong Q; both together are the better bet where nothing is known.
         window_length: N; with fewer Q and R chase each other's noise, with more nothing is gained
             and a wrong start is remembered for longer.
         first_use: how many innovations a row has before it teaches, 1 to `window_length`; waiting
@@ -60,7 +59,6 @@ class InnovationBasedSettings:
             the filter follow every measurement for as long as Q is too large.
     """
 
-    adapted_noise: AdaptedNoise = AdaptedNoise.BOTH
     window_length: int = 200
     first_use: int = 10
     smallest_share: float = 0.2
@@ -92,14 +90,14 @@ def run(
     recording: Recording,
     start: Start,
     settings: InnovationBasedSettings,
-) -> Track:
+) -> Estimates:
     """Run the IAE filter over a recording.
 
     Args:
         motion_model: f(x, u).
-        recording: what the sensors said.
+        recording: what the sensors measured.
         start: pose and noise to start from.
-        settings: what is adapted and by which window.
+        settings: the window and the floor of R.
     """
     numbers = NUMBERS_OF_A_FILTER + MEASUREMENT_SIZE * settings.window_length
     return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
@@ -110,36 +108,32 @@ def _filter(
     settings: InnovationBasedSettings,
     start: BlockStart,
     epochs: Iterator[Epoch],
-) -> Iterator[Said]:
+) -> Iterator[StepEstimate]:
     """Take some robots over all steps."""
     bank, (Q, R, _) = one_filter(start)
     scale = period_scale(start)
-    adapts_Q = settings.adapted_noise is not AdaptedNoise.R
-    adapts_R = settings.adapted_noise is not AdaptedNoise.Q
     window = _Window(np.zeros((settings.window_length, *R.shape)), np.zeros(R.shape))
     for epoch in epochs:
         predicted = predict(motion_model, bank, epoch.control, Q * scale)
         seen = innovate(predicted.bank, Readings(epoch.measurement, epoch.available), R)
         corrected = correct(predicted.bank, seen, Noise(Q, R), epoch.available)
         bank = wrapped(corrected.bank)
-        yield Said(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
+        yield StepEstimate(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
 
         available = epoch.available[:, None]
         window = _push(window, seen.innovation, available)
         C = _innovation_covariance(window)
         teaches = available & (window.counts >= settings.first_use)
-        if adapts_Q:
-            K = _gain(bank.covariance, R, available)  # this step's, before R changes
-            state_noise = matmul(matmul(K, C), transpose(K))
-            sample = wheel_noise(predicted.motion, state_noise) / scale
-            Q = np.where(shows_wheel_noise(teaches), within_limits(sample), Q)
-        if adapts_R:
-            variance = diagonal_of(C)
-            sample = np.maximum(
-                variance - row_variances(predicted.bank.covariance),
-                settings.smallest_share * variance,
-            )
-            R = np.where(teaches, within_limits(sample), R)
+        K = _gain(bank.covariance, R, available)  # this step's, before R changes
+        state_noise = matmul(matmul(K, C), transpose(K))
+        sample = wheel_noise(predicted.motion, state_noise) / scale
+        Q = np.where(shows_wheel_noise(teaches), within_limits(sample), Q)
+        variance = diagonal_of(C)
+        sample = np.maximum(
+            variance - row_variances(predicted.bank.covariance),
+            settings.smallest_share * variance,
+        )
+        R = np.where(teaches, within_limits(sample), R)
 
 
 def _push(window: _Window, innovation: FloatArray, available: BoolArray) -> _Window:
@@ -163,5 +157,5 @@ def _gain(
     covariance: FloatArray, measurement_noise: FloatArray, available: BoolArray
 ) -> FloatArray:
     """Return K = P H' R^-1, `(3, 4, 1, *batch)`; columns of rows not measured are 0."""
-    K: FloatArray = covariance[:, _COMPONENTS] * (available / measurement_noise)
+    K: FloatArray = covariance[:, STATES_OF_ROWS] * (available / measurement_noise)
     return K

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """A bank of filters with Bayesian weights: multiple model adaptive estimation, Magill (1965).
 
 One extended Kalman filter for every pair of a scale of Q and a scale of R, each for itself; which
@@ -6,8 +9,8 @@ filter, its weight goes with the likelihood of all it has seen so far,
 
     w <- w N(r; 0, S) / sum of the same over the bank
 
-(IEEE Transactions on Automatic Control 10(4), pp. 434-439), and the bank says the mixture's mean
-and covariance,
+(IEEE Transactions on Automatic Control 10(4), pp. 434-439), and the bank's estimate is the
+mixture's mean and covariance,
 
     x = sum w x_i,   P = sum w (P_i + (x_i - x)(x_i - x)')
 
@@ -33,14 +36,14 @@ from fnn_ekf_ros.core.bank import (
     predict,
     wrapped,
 )
-from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
-from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
+from fnn_ekf_ros.study.recording import Estimates, Recording, Start
 from fnn_ekf_ros.study.rivals.shared import one_filter, outer, period_scale, pose_difference
 
 NINE_SCALES = tuple(5.0 ** (half / 2.0) for half in range(-4, 5))
-"""1/25 to 25 times a variance, evenly in the logarithm."""
+"""Factors on a variance, 1/25 to 25, evenly spaced in the logarithm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +77,17 @@ def run(
     recording: Recording,
     start: Start,
     settings: MultipleModelSettings,
-) -> Track:
+) -> Estimates:
     """Run the bank over a recording.
 
     Args:
         motion_model: f(x, u).
-        recording: what the sensors said.
+        recording: what the sensors measured.
         start: pose and noise to start from; the bank's scales are relative to its noise.
         settings: the bank.
 
     Returns:
-        The track of the mixture; its `nis` is that of the mixture's prediction.
+        The estimates of the mixture; their `nis` is that of the mixture's prediction.
     """
     filters = len(settings.process_scales) * len(settings.measurement_scales)
     numbers = NUMBERS_OF_A_FILTER * filters
@@ -96,7 +99,7 @@ def _filter(
     settings: MultipleModelSettings,
     start: BlockStart,
     epochs: Iterator[Epoch],
-) -> Iterator[Said]:
+) -> Iterator[StepEstimate]:
     """Take some robots over all steps."""
     one, noise_at_start = one_filter(start)
     noise = _bank_noise(noise_at_start, settings)
@@ -122,10 +125,10 @@ def _filter(
 
         rows = np.sum(epoch.available, axis=0)
         likelihood = log_density(corrected.nis, corrected.determinant, rows)
-        log_weight = _normalised(log_weight + likelihood, settings.smallest_weight)
+        log_weight = _normalized(log_weight + likelihood, settings.smallest_weight)
         bank = wrapped(corrected.bank)
-        said = mixture(np.exp(log_weight), bank)
-        yield Said(said.mean[:, 0], said.covariance[:, :, 0], nis[0])
+        estimate = mixture(np.exp(log_weight), bank)
+        yield StepEstimate(estimate.mean[:, 0], estimate.covariance[:, :, 0], nis[0])
 
 
 def log_density(nis: FloatArray, determinant: FloatArray, rows: FloatArray) -> FloatArray:
@@ -147,7 +150,7 @@ def mixture(weight: FloatArray, bank: Bank) -> Bank:
         weight: `(F, *batch)`, 1 in sum over the filters.
         bank: the F filters.
     """
-    # Angles are averaged as differences from the likeliest filter's: pi and -pi are neighbours.
+    # Angles are averaged as differences from the likeliest filter's: pi and -pi are neighbors.
     likeliest = np.argmax(weight, axis=0)[None, None]
     reference = np.take_along_axis(bank.mean, likeliest, axis=1)
     from_reference = pose_difference(bank.mean, reference)
@@ -168,7 +171,7 @@ def _bank_noise(start: Noise, settings: MultipleModelSettings) -> Noise:
     )
 
 
-def _normalised(log_weight: FloatArray, smallest_weight: float) -> FloatArray:
+def _normalized(log_weight: FloatArray, smallest_weight: float) -> FloatArray:
     """Return the logarithms of weights `(F, *batch)` that sum to one and keep to the floor."""
     log_weight = log_weight - np.max(log_weight, axis=0)
     log_weight = log_weight - np.log(np.sum(np.exp(log_weight), axis=0))

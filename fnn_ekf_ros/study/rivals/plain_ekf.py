@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """An EKF by its textbook equations, written apart from the package's own: the one to compare with.
 
 It takes every reading at its instant and knows no periods. Matrices have their batch first and
@@ -20,7 +23,8 @@ from fnn_ekf_ros.study.instants import TimedRecording
 from fnn_ekf_ros.study.recording import Start
 
 SMALL_HALF_TURN = 1e-4
-"""Below this half turn [rad] the derivative of the chord is its series' first term."""
+"""Half rotation below which the derivative of the chord is its series' first term [rad]: the
+quotient would lose its digits."""
 
 
 def run(recording: TimedRecording, start: Start) -> tuple[FloatArray, FloatArray]:

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """Q and R as averages that fade: Sage and Husa (1969), with a fading factor b as usual since.
 
 Noise means are zero. For the k-th innovation r, with d = (1 - b) / (1 - b^(k+1)),
@@ -24,12 +27,11 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.bank import Noise, Readings, correct, innovate, wrapped
-from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
-from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
+from fnn_ekf_ros.study.recording import Estimates, Recording, Start
 from fnn_ekf_ros.study.rivals.shared import (
-    AdaptedNoise,
     one_filter,
     outer,
     period_scale,
@@ -48,13 +50,10 @@ class SageHusaSettings:
     """Settings of the Sage-Husa filter.
 
     Attributes:
-        adapted_noise: what is adapted. R alone is as good as the EKF where Q is right, but cannot
-            mend a wrong Q; both together are the better bet where nothing is known.
         fading: b, over 0 and under 1; 1 / (1 - b) innovations are remembered. 0.93 to 0.98 differ
             little, longer memories carry the feedback of Q on itself for longer.
     """
 
-    adapted_noise: AdaptedNoise = AdaptedNoise.BOTH
     fading: float = 0.95
 
     def __post_init__(self) -> None:
@@ -65,14 +64,14 @@ class SageHusaSettings:
 
 def run(
     motion_model: MotionModel, recording: Recording, start: Start, settings: SageHusaSettings
-) -> Track:
+) -> Estimates:
     """Run the Sage-Husa filter over a recording.
 
     Args:
         motion_model: f(x, u).
-        recording: what the sensors said.
+        recording: what the sensors measured.
         start: pose and noise to start from.
-        settings: what is adapted and how fast it fades.
+        settings: how fast the averages fade.
     """
     numbers = NUMBERS_OF_A_FILTER
     return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
@@ -83,33 +82,29 @@ def _filter(
     settings: SageHusaSettings,
     start: BlockStart,
     epochs: Iterator[Epoch],
-) -> Iterator[Said]:
+) -> Iterator[StepEstimate]:
     """Take some robots over all steps."""
     bank, (Q, R, _) = one_filter(start)
     scale = period_scale(start)
-    adapts_Q = settings.adapted_noise is not AdaptedNoise.R
-    adapts_R = settings.adapted_noise is not AdaptedNoise.Q
     Q_count, R_count = np.zeros(Q.shape), np.zeros(R.shape)
     for epoch in epochs:
         predicted = predict(motion_model, bank, epoch.control, Q * scale)
         seen = innovate(predicted.bank, Readings(epoch.measurement, epoch.available), R)
         corrected = correct(predicted.bank, seen, Noise(Q, R), epoch.available)
         bank = wrapped(corrected.bank)
-        yield Said(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
+        yield StepEstimate(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
 
         available = epoch.available[:, None]
         Kr = pose_difference(bank.mean, predicted.bank.mean)
-        if adapts_R:
-            e = seen.innovation - row_values(Kr)
-            R_count = R_count + available
-            d = np.where(available, _share(settings.fading, R_count), 0.0)
-            R = within_limits((1.0 - d) * R + d * (e * e + row_variances(bank.covariance)))
-        if adapts_Q:
-            shown = shows_wheel_noise(available)
-            Q_count = Q_count + shown
-            d = np.where(shown, _share(settings.fading, Q_count), 0.0)
-            sample = wheel_noise(predicted.motion, outer(Kr)) / scale
-            Q = within_limits((1.0 - d) * Q + d * sample)
+        e = seen.innovation - row_values(Kr)
+        R_count = R_count + available
+        d = np.where(available, _share(settings.fading, R_count), 0.0)
+        R = within_limits((1.0 - d) * R + d * (e * e + row_variances(bank.covariance)))
+        shown = shows_wheel_noise(available)
+        Q_count = Q_count + shown
+        d = np.where(shown, _share(settings.fading, Q_count), 0.0)
+        sample = wheel_noise(predicted.motion, outer(Kr)) / scale
+        Q = within_limits((1.0 - d) * Q + d * sample)
 
 
 def _share(fading: float, count: FloatArray) -> FloatArray:

@@ -1,31 +1,23 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """What the rivals share: their start, the prediction, and wheel noise read from state noise.
 
 Arrays are as in `core.bank`: components first, then the filters, then the batch.
 """
 
-from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import STATE_OF_ROW, BoolArray, FloatArray, Row, diagonal_of
+from fnn_ekf_ros.core.arrays import STATES_OF_ROWS, BoolArray, FloatArray, Row, diagonal_of
 from fnn_ekf_ros.core.bank import Bank, Noise, predict_covariance
 from fnn_ekf_ros.core.covariance import limit_uncertainty
 from fnn_ekf_ros.core.limits import LARGEST_STD, SMALLEST_STD
 from fnn_ekf_ros.core.motion import Motion, MotionModel, move
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.study.blocks import BlockStart
-
-_COMPONENTS = list(STATE_OF_ROW)
-
-
-class AdaptedNoise(StrEnum):
-    """Which noise covariances a rival adapts."""
-
-    R = "r"
-    Q = "q"
-    BOTH = "both"
 
 
 class Prediction(NamedTuple):
@@ -78,7 +70,8 @@ def pose_difference(mean: FloatArray, reference: FloatArray) -> FloatArray:
 
 def row_values(state: FloatArray) -> FloatArray:
     """Return H x, `(4, ...)` rows as in `Row`, for vectors x `(3, ...)`."""
-    return state[_COMPONENTS]
+    values: FloatArray = state[STATES_OF_ROWS]
+    return values
 
 
 def row_variances(covariance: FloatArray) -> FloatArray:
@@ -105,9 +98,13 @@ def wheel_noise(motion: Motion, state_noise: FloatArray) -> FloatArray:
     Returns:
         `(2, ...)` (m^2, rad^2); positive if M is positive definite.
     """
-    way, turn = np.moveaxis(motion.noise_jacobian(), 1, 0)  # the columns of W
-    a, b, c = ((one * other).sum(axis=0) for one, other in ((way, way), (way, turn), (turn, turn)))
-    inverse = np.stack([c * way - b * turn, a * turn - b * way]) / (a * c - b * b)
+    distance, rotation = np.moveaxis(motion.noise_jacobian(), 1, 0)  # the columns of W
+    a, b, c = (
+        (one * other).sum(axis=0)
+        for one, other in ((distance, distance), (distance, rotation), (rotation, rotation))
+    )
+    inverse = np.stack([c * distance - b * rotation, a * rotation - b * distance])
+    inverse = inverse / (a * c - b * b)
     diagonal: FloatArray = np.sum(inverse * matmul(inverse, state_noise), axis=1)
     return diagonal
 
@@ -121,7 +118,8 @@ def matmul(one: FloatArray, other: FloatArray) -> FloatArray:
 def shows_wheel_noise(available: BoolArray) -> BoolArray:
     """Return `(2, ...)`: whether the available rows `(4, ...)` show (forward, heading) noise.
 
-    Forward noise shows in x and y together, as the robot may face any way; the heading's in a yaw.
+    Noise of the distance shows in x and y together, as the robot may face in any direction; noise
+    of the rotation in a yaw.
     """
     forward = available[Row.X] & available[Row.Y]
     heading = available[Row.COMPASS_YAW] | available[Row.LRF_YAW]

@@ -1,3 +1,6 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
 """R by variational Bayes: the VB-AKF of Sarkka and Nummenmaa (2009).
 
 The variances of a diagonal R are inverse gamma distributed, independent of the state and of each
@@ -31,10 +34,10 @@ from fnn_ekf_ros.core.bank import (
     predict,
     wrapped,
 )
-from fnn_ekf_ros.core.filter import Epoch
 from fnn_ekf_ros.core.motion import MotionModel
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, Said, run_in_blocks
-from fnn_ekf_ros.study.recording import Recording, Start, Track
+from fnn_ekf_ros.core.results import Epoch
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
+from fnn_ekf_ros.study.recording import Estimates, Recording, Start
 from fnn_ekf_ros.study.rivals.shared import (
     one_filter,
     period_scale,
@@ -74,17 +77,17 @@ def run(
     recording: Recording,
     start: Start,
     settings: VariationalBayesSettings,
-) -> Track:
+) -> Estimates:
     """Run the VB-AKF over a recording.
 
     Args:
         motion_model: f(x, u).
-        recording: what the sensors said.
+        recording: what the sensors measured.
         start: pose and noise to start from; Q stays.
         settings: how much is remembered.
 
     Returns:
-        The track; its `nis` is with R as it was before the step's own innovation taught anything.
+        The estimates; their `nis` is with R as it was before the step's own innovation.
     """
     numbers = NUMBERS_OF_A_FILTER
     return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
@@ -95,7 +98,7 @@ def _filter(
     settings: VariationalBayesSettings,
     start: BlockStart,
     epochs: Iterator[Epoch],
-) -> Iterator[Said]:
+) -> Iterator[StepEstimate]:
     """Take some robots over all steps."""
     bank, noise = one_filter(start)
     Q = noise.process * period_scale(start)
@@ -114,7 +117,7 @@ def _filter(
             predicted, seen, Q, available, alpha, forgetting * beta, settings.iterations
         )
         bank = wrapped(corrected.bank)
-        yield Said(bank.mean[:, 0], bank.covariance[:, :, 0], before.nis[0])
+        yield StepEstimate(bank.mean[:, 0], bank.covariance[:, :, 0], before.nis[0])
 
 
 def _fixed_point(

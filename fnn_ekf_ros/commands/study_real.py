@@ -1,0 +1,123 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""`study real BAG...`: every start of the localizer on recordings with a ground truth."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from fnn_ekf_ros.commands.arguments import (
+    add_folder_argument,
+    add_json_argument,
+    add_parameter_arguments,
+    add_remapping_argument,
+    chosen_names,
+    given_parameters,
+)
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.files.text_files import write_json, write_text
+from fnn_ekf_ros.parameters.files import (
+    parse_assignment,
+    read_parameter_file,
+    render_parameter_file,
+)
+from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
+from fnn_ekf_ros.parameters.schema import ParameterError, build
+from fnn_ekf_ros.recordings.bag_writer import file_beside
+from fnn_ekf_ros.reports.pictures import require_matplotlib
+from fnn_ekf_ros.reports.result_folder import prepare_study
+from fnn_ekf_ros.study.filters import EKF, JOINT, SET_BY_NAMES, localizer_models
+from fnn_ekf_ros.study.real_bags import read_recording, run_filters
+from fnn_ekf_ros.study.report.real_figures import draw_real
+from fnn_ekf_ros.study.report.real_tables import real_tables, rows
+from fnn_ekf_ros.study.report.tables import start_words
+from fnn_ekf_ros.study.starts import ALL_CELLS, with_noise_factors
+from fnn_ekf_ros.version import version
+
+NAME = "real"
+SUMMARY = "recordings with a ground truth, from 25 starts with wrong noise"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument(
+        "bags", metavar="BAG", type=Path, nargs="+",
+        help="recordings; NAME.yaml beside NAME holds its localizer parameters",
+    )  # fmt: skip
+    add_folder_argument(parser, "tables, figures and settings")
+    parser.add_argument(
+        "--truth-topic",
+        default="/ground_truth",
+        metavar="TOPIC",
+        help="topic of the ground truth (/ground_truth)",
+    )
+    parser.add_argument(
+        "--filters", metavar="A,B", default=JOINT,
+        help=f"names of the localizer's filters beside the EKF ({JOINT})",
+    )  # fmt: skip
+    add_json_argument(parser)
+    add_parameter_arguments(parser)
+    add_remapping_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command."""
+    require_matplotlib()
+    for text in arguments.assignments:
+        name, _ = parse_assignment(text)
+        if name in SET_BY_NAMES:
+            raise FnnEkfError(
+                f"parameter '{name}': it follows from the names of the filters; expected another"
+            )
+    labels = [path.stem if path.is_file() else path.resolve().name for path in arguments.bags]
+    if len(set(labels)) < len(labels):
+        raise FnnEkfError(f"{', '.join(labels)}: expected bags of different names")
+    out = arguments.out
+    settings = [_parameters(path, arguments) for path in arguments.bags]
+    possible = [name for name in localizer_models(settings[0][0]) if name != EKF]
+    names = [EKF, *chosen_names("--filters", arguments.filters, possible)]
+    recordings = [
+        read_recording(path, label, *each, arguments.truth_topic, arguments.remappings)
+        for path, label, each in zip(arguments.bags, labels, settings, strict=True)
+    ]
+    inputs = [*arguments.bags, *arguments.params]
+    numbers = prepare_study(out, ["results.md"], arguments.json, inputs)
+
+    made_by = {
+        "study": NAME, "version": version(), "filters": names[1:],
+        "parameters": dict(parse_assignment(text) for text in arguments.assignments),
+    }  # fmt: skip
+    results = [run_filters(recording, names) for recording in recordings]
+    content = {**made_by, "bags": [rows(result) for result in results]}
+    write_json(numbers, content)
+    write_text(out / "results.md", real_tables(made_by, results))
+    for recording, result in zip(recordings, results, strict=True):
+        values = asdict(recording.parameters)
+        text = render_parameter_file(LocalizerParameters, values, NODE_NAME)
+        write_text(out / f"localizer_{result.label}.yaml", text)
+        draw_real(out / f"real_{result.label}.png", result)
+    print(f"{out}: {', '.join(labels)} from {len(ALL_CELLS)} starts, {', '.join(names)}")
+    print(f"{out / 'results.md'}: the tables")
+    return 0
+
+
+def _parameters(path: Path, arguments: argparse.Namespace) -> tuple[LocalizerParameters, list[str]]:
+    """Return the parameters for a bag, and the files they are from; the given ones win."""
+    values: dict[str, Any] = {}
+    files = []
+    beside = file_beside(path.with_suffix("") if path.is_file() else path)
+    if beside.exists():
+        values = read_parameter_file(beside, NODE_NAME)
+        files.append(beside.name)
+    values |= given_parameters(arguments, NODE_NAME)
+    for name in SET_BY_NAMES:
+        values.pop(name, None)
+    parameters = build(LocalizerParameters, values)
+    for cell in ALL_CELLS:
+        try:
+            with_noise_factors(parameters, cell)
+        except ParameterError as error:
+            raise ParameterError(f"bag '{path}', {start_words(cell)}: {error}") from None
+    return parameters, [*files, *(str(p) for p in arguments.params)]

@@ -1,0 +1,184 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Every message of /diagnostics: a finite set for each status, without changing numbers.
+
+Numbers, stamps and refused values stand in the keys and values of a status. Several messages at
+once are joined by `SEPARATOR`. `<name>` in a message stands for one of `NAMES[name]`.
+docs/diagnostics.md lists them all with their level, meaning and remedy; a test compares the two.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator
+from enum import StrEnum
+
+from fnn_ekf_ros.timeline.events import InputCheck, Sensor, Wheel
+
+LAST_REFUSAL = "last refusal"
+"""The key of the reason with which the last message of a sensor was refused."""
+SEPARATOR = "; "
+"""Between the messages of a status that has several; no message contains it."""
+
+OTHERS = {
+    Sensor.ENCODERS: "the compass and the fixes",
+    Sensor.COMPASS: "the wheels and the fixes",
+    Sensor.LRF_POSE: "the wheels and the compass",
+}
+"""The sensors that a sensor disagrees with."""
+PROCESS_NOISES = ("distance", "rotation")
+MEASUREMENT_NOISES = ("fixes' x", "fixes' y", "compass", "fixes' yaw")
+"""The noises that adaptation moves, as the status `filter` calls them."""
+
+NAMES = {
+    "wheel": tuple(wheel.name.lower() for wheel in Wheel),
+    "sensor": tuple(Sensor),
+    "measuring sensor": (Sensor.COMPASS, Sensor.LRF_POSE),
+    "others": (OTHERS[Sensor.COMPASS], OTHERS[Sensor.LRF_POSE]),
+    "sensors": (
+        *(" or ".join(pair) for pair in itertools.combinations(Sensor, 2)),
+        " or ".join(Sensor),
+    ),
+    "input": (*Sensor, "initialpose"),
+    "check": tuple(InputCheck),
+    "process noise": PROCESS_NOISES,
+    "measurement noise": MEASUREMENT_NOISES,
+}
+"""What the names in angle brackets stand for."""
+
+
+class InputMessage(StrEnum):
+    """Messages of the statuses `encoders`, `compass` and `lrf_pose`."""
+
+    RECEIVED = "received"
+    NONE_YET = "no message yet"
+    SILENT = "silent"
+    REFUSED = "message refused: <check>"
+
+
+class EncoderMessage(StrEnum):
+    """Further messages of the status `encoders`."""
+
+    WHEEL_NONE_YET = "no message yet from the <wheel> wheel"
+    WHEEL_SILENT = "<wheel> wheel silent"
+    WHEEL_STUCK = (
+        "<wheel> wheel stuck: its count is constant, but the robot does not pivot about it"
+    )
+    WHEEL_JUMPED = "<wheel> wheel jumped: taken for a reset or a glitch, not for motion"
+    WHEEL_RESTARTED = (
+        "<wheel> wheel jumped after a silence: taken for a restart or a glitch, not for motion"
+    )
+    TIMEOUT = "periods closed without both wheels"
+    DISAGREE = "disagree with the compass and the fixes: wheel slip or an encoder fault"
+    WHEEL_SMALLER = (
+        "disagree with the compass and the fixes: the <wheel> wheel travels less than it counts"
+    )
+    WHEEL_LARGER = (
+        "disagree with the compass and the fixes: the <wheel> wheel travels more than it counts"
+    )
+
+
+class SensorMessage(StrEnum):
+    """Further messages of the statuses `compass` and `lrf_pose`."""
+
+    NOT_USED = "not used"
+    STANDING = "no new fix, but the robot stands or stood: this does not count as silence"
+    TOO_FAST = "too fast: some readings are left out"
+    FROZEN_FIX = "frozen: the position does not change while the wheels move the robot"
+    FROZEN_YAW = "frozen: the yaw does not change while the wheels rotate the robot"
+    REJECTED = "many readings rejected: they disagree with <others>"
+    SCATTER_MORE = "readings scatter more than the assumed noise"
+    DISAGREES = "disagrees with <others>"
+    SCATTER_LESS = "received, readings scatter less than the assumed noise"
+    AFFECTED = "received, does not fit the other sensors, but need not be the cause"
+
+
+class FilterMessage(StrEnum):
+    """Messages of the status `filter`."""
+
+    RUNNING = "running"
+    AWAITS_COUNTS = "waiting for the first wheel counts"
+    AWAITS_POSITION = "waiting for the first position"
+    AWAITS_YAW = "waiting for the first yaw"
+    AWAITS_PERIOD = "waiting for the first period of both wheels"
+    LOST_POSITION = "lost: no fix accepted while driving, and the position is uncertain"
+    LOST_YAW = "lost: no yaw accepted while driving, and the yaw is uncertain"
+    PERIOD_FAILED = "a period failed: its measurements are left out"
+    RESTARTED = "a period failed: the filter starts anew"
+    MOVED = "the robot was carried, or the fixes jumped: pose moved to where the fixes agree"
+    WHEELS_DISAGREE = "encoders disagree with the compass and the fixes"
+    SENSOR_DISAGREES = "<measuring sensor> disagrees with <others>"
+    CONTRADICTION = "measurements contradict each other: <sensors> is wrong"
+    DEGRADED_POSITION = "degraded: no fix accepted while driving"
+    DEGRADED_YAW = "degraded: no yaw accepted while driving"
+    PROCESS_LOW = "<process noise> noise at its lower bound process_noise_std_min"
+    PROCESS_HIGH = "<process noise> noise at its upper bound process_noise_std_max"
+    MEASUREMENT_LOW = "<measurement noise> noise at its lower bound measurement_noise_std_min"
+    MEASUREMENT_HIGH = "<measurement noise> noise at its upper bound measurement_noise_std_max"
+
+
+class TimeMessage(StrEnum):
+    """Messages of the status `time`."""
+
+    IN_ORDER = "in order"
+    LATE = "<input> message dropped: later than history"
+    AHEAD = "<input> message dropped: stamped ahead of the clock"
+    WENT_BACK = "the clock went back: the localizer starts anew"
+    JUMPED_AHEAD = "the clock jumped ahead: the localizer starts anew"
+    PAUSED = "the clock jumped ahead, or no message arrived for a while"
+    OVERRUN = "the node was late by more than a period"
+
+
+class TransformMessage(StrEnum):
+    """Messages of the status `tf`."""
+
+    PUBLISHED = "published"
+    MISSING = "no transform from odom_frame to base_frame"
+
+
+DiagnosticMessage = (
+    InputMessage | EncoderMessage | SensorMessage | FilterMessage | TimeMessage | TransformMessage
+)
+
+MESSAGES: dict[str, tuple[DiagnosticMessage, ...]] = {
+    "encoders": (*InputMessage, *EncoderMessage),
+    "compass": (*InputMessage, *SensorMessage),
+    "lrf_pose": (*InputMessage, *SensorMessage),
+    "filter": tuple(FilterMessage),
+    "time": tuple(TimeMessage),
+    "tf": tuple(TransformMessage),
+}
+"""The messages of each status."""
+
+
+def fill(message: DiagnosticMessage, **names: str) -> str:
+    """Return a message with its names in place of the angle brackets.
+
+    Args:
+        message: with one `<name>` for each of the names.
+        names: one of `NAMES` for each; a space in a name is an underscore here.
+    """
+    text = str(message)
+    for name, value in names.items():
+        text = text.replace(f"<{name.replace('_', ' ')}>", value)
+    return text
+
+
+def join(messages: Iterable[str]) -> str:
+    """Return several messages as one text."""
+    return SEPARATOR.join(messages)
+
+
+def possible_texts(status: str) -> Iterator[str]:
+    """Yield every text that a single message of a status can have."""
+    for message in MESSAGES[status]:
+        yield from texts_of(message)
+
+
+def texts_of(message: str) -> Iterator[str]:
+    """Yield every text that a message can have with its names filled in."""
+    names = [name for name in NAMES if f"<{name}>" in message]
+    for values in itertools.product(*(NAMES[name] for name in names)):
+        text = str(message)
+        for name, value in zip(names, values, strict=True):
+            text = text.replace(f"<{name}>", value)
+        yield text

@@ -1,0 +1,365 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The report on /diagnostics: one status for each part of the localizer.
+
+docs/diagnostics.md says when a status is WARN and when ERROR; a test compares its numbers with the
+constants here and in the modules of the statuses.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from fnn_ekf_ros.core.adaptation import AdaptationMode
+from fnn_ekf_ros.core.state import FilterState
+from fnn_ekf_ros.diagnostics.encoder_status import EncoderStatus
+from fnn_ekf_ros.diagnostics.fault_isolation import (
+    NO_FAULT,
+    FaultIsolation,
+    isolate_fault,
+    symptoms_of,
+)
+from fnn_ekf_ros.diagnostics.filter_status import Failures, FilterFacts, filter_status
+from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, FrozenSensor
+from fnn_ekf_ros.diagnostics.messages import (
+    LAST_REFUSAL,
+    EncoderMessage,
+    FilterMessage,
+    InputMessage,
+    SensorMessage,
+    TimeMessage,
+    fill,
+    join,
+)
+from fnn_ekf_ros.diagnostics.noise_words import Values
+from fnn_ekf_ros.diagnostics.recent_periods import (
+    RecentPeriods,
+    SensorReadings,
+    new_move,
+    stands,
+)
+from fnn_ekf_ros.diagnostics.sensor_status import measuring_status
+from fnn_ekf_ros.diagnostics.time_status import TimeStatus
+from fnn_ekf_ros.diagnostics.wheel_sizes import size_messages, size_values
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.timeline.epochs import MOST_READINGS_A_SECOND
+from fnn_ekf_ros.timeline.events import (
+    STALE_NS,
+    CompassYaw,
+    Estimate,
+    Event,
+    Level,
+    Move,
+    PoseFix,
+    PoseReset,
+    Rejected,
+    Sensor,
+    Status,
+    WheelCount,
+)
+from fnn_ekf_ros.timeline.filter_model import wheel_geometry
+from fnn_ekf_ros.timeline.initialization import AwaitingStart
+from fnn_ekf_ros.timeline.inputs import Counts, LeftOut
+from fnn_ekf_ros.timeline.wheels import BufferChange
+
+EXPLAINED_NS = 10 * 10**9
+"""Time after a fault of a sensor is seen for which it explains what does not fit [ns]: the filter
+needs some seconds to settle, and the suspects' leads to fade."""
+
+
+class _Heard:
+    """Number of messages of a sensor, and the newest stamp since the clock jumped last [ns]."""
+
+    __slots__ = ("count", "last_ns")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.last_ns: int | None = None
+
+    def at(self, stamp_ns: int) -> None:
+        self.count += 1
+        if self.last_ns is None or stamp_ns > self.last_ns:
+            self.last_ns = max(stamp_ns, 0)
+
+
+class DiagnosticsReport:
+    """Counts the events of inputs and periods, and makes the statuses of them on request.
+
+    Args:
+        parameters: of the localizer.
+    """
+
+    def __init__(self, parameters: LocalizerParameters) -> None:
+        self._parameters = parameters
+        self._heard = {sensor: _Heard() for sensor in Sensor}
+        self._stood_ns = 0
+        self._refused: Counter[Sensor] = Counter()
+        self._last_refusal: dict[Sensor, str] = {}
+        self._left_out: Counter[Sensor] = Counter()
+        self._newly_left_out: Counter[Sensor] = Counter()
+        self._new_refusal: dict[Sensor, str] = {}
+        self._encoders = EncoderStatus(parameters)
+        self._time = TimeStatus()
+        self._failures = Failures()
+        geometry = wheel_geometry(parameters)
+        self._frozen = {
+            sensor: FrozenSensor(sensor, geometry.meters_per_count, geometry.wheel_separation)
+            for sensor in (Sensor.COMPASS, Sensor.LRF_POSE)
+        }
+        self._explained_by: dict[Sensor, int] = {}
+        self._reported_move: Move | None = None
+
+    def changed(self, parameters: LocalizerParameters) -> None:
+        """Go on with other parameters."""
+        self._parameters = parameters
+
+    def took(self, event: Event, change: BufferChange) -> None:
+        """Count an event that was taken in, and what it changed."""
+        if change.changed_ns is None:
+            self._time.repeated()
+            return
+        if change.out_of_order:
+            self._time.out_of_order()
+        if isinstance(event, WheelCount):
+            self._heard[Sensor.ENCODERS].at(event.stamp_ns)
+            self._encoders.saw(event, change)
+        elif isinstance(event, PoseReset):
+            self._encoders.pose_was_set(event.stamp_ns)
+        else:
+            sensor = Sensor.COMPASS if isinstance(event, CompassYaw) else Sensor.LRF_POSE
+            self._heard[sensor].at(event.stamp_ns)
+            self._frozen[sensor].saw(event)
+            if sensor is Sensor.LRF_POSE:
+                self._stood_ns = 0
+
+    def rejected(self, rejected: Rejected) -> None:
+        """Count a message that was refused for what it says."""
+        self._refused[rejected.sensor] += 1
+        self._new_refusal[rejected.sensor] = fill(InputMessage.REFUSED, check=rejected.check)
+        self._last_refusal[rejected.sensor] = rejected.reason
+
+    def dropped(self, message: TimeMessage, event: Event, now_ns: int) -> None:
+        """Count an event that was refused for its stamp.
+
+        Args:
+            message: `LATE` or `AHEAD`.
+            event: as it was stamped.
+            now_ns: ROS time at which it arrived [ns].
+        """
+        self._time.dropped(message, _sensor_of(event), now_ns - event.stamp_ns)
+
+    def overran(self, seconds: float) -> None:
+        """Count a delay of more than a period [s]."""
+        self._time.overran(seconds)
+
+    def paused(self, time_ns: int) -> None:
+        """Count a time in which nothing was heard, not even the clock [ns]."""
+        self._time.paused(time_ns)
+
+    def redone(self, periods: int) -> None:
+        """Count the periods that were run again for late inputs."""
+        self._time.redone(periods)
+
+    def restarted(self, from_ns: int, to_ns: int) -> None:
+        """Count a restart by a jump of the clock [ns], after which every stamp begins anew."""
+        for heard in self._heard.values():
+            heard.last_ns = None
+        self._stood_ns = 0
+        self._failures = self._failures._replace(end_ns=None)
+        self._encoders.restarted()
+        for frozen in self._frozen.values():
+            frozen.forget()
+        self._explained_by.clear()
+        self._reported_move = None
+        self._time.restarted(from_ns, to_ns)
+
+    def failed(self, end_ns: int, reason: str, *, restarts: bool) -> None:
+        """Count a period that left the finite numbers; once if late inputs have it run again."""
+        last_ns = self._failures.end_ns
+        if last_ns is None or end_ns > last_ns or restarts:
+            new = FilterMessage.RESTARTED if restarts else FilterMessage.PERIOD_FAILED
+            self._failures = Failures(
+                total=self._failures.total + 1, new=new, reason=reason, end_ns=end_ns
+            )
+
+    def closed(
+        self, end_ns: int, complete: bool, counts: Counts, estimate: Estimate | None
+    ) -> None:
+        """Count a period.
+
+        Args:
+            end_ns: its end [ns].
+            complete: whether both wheels were known up to there.
+            counts: what they had counted there.
+            estimate: what came of it.
+        """
+        self._encoders.closed(end_ns, complete, counts, estimate)
+        for frozen in self._frozen.values():
+            frozen.closed(counts)
+        period_s = self._parameters.period
+        if complete and estimate is not None and stands(estimate.twist * period_s, period_s):
+            self._stood_ns += round(period_s * 1e9)
+
+    def left_out(self, readings: LeftOut) -> None:
+        """Count readings of a period that were too many to be used."""
+        for sensor, count in zip((Sensor.COMPASS, Sensor.LRF_POSE), readings, strict=True):
+            if count:
+                self._left_out[sensor] += count
+                self._newly_left_out[sensor] += count
+
+    def report(
+        self,
+        now_ns: int,
+        state: FilterState | AwaitingStart,
+        estimate: Estimate | None,
+        mode: AdaptationMode,
+        recent: RecentPeriods | None,
+    ) -> tuple[Status, ...]:
+        """Return the statuses; events since the last report decide their levels.
+
+        Args:
+            now_ns: ROS time [ns].
+            state: the filter, or what it waits with.
+            estimate: of the last period; None without one.
+            mode: the adaptation in use.
+            recent: the last periods; None before the filter runs.
+        """
+        encoders = self._encoders.status(
+            self._sensor(Sensor.ENCODERS, now_ns, expected=True),
+            now_ns,
+            refused=Sensor.ENCODERS in self._new_refusal,
+        )
+        frozen = {sensor: each.fault() for sensor, each in self._frozen.items()}
+        found = self._isolate(now_ns, encoders, frozen, recent)
+        moved = new_move(self._reported_move, recent)
+        self._reported_move = moved or self._reported_move
+        facts = FilterFacts(
+            now_ns=now_ns,
+            state=state,
+            estimate=estimate,
+            recent=recent,
+            found=found,
+            mode=mode,
+            moved=moved,
+            missing=self._missing(state) if isinstance(state, AwaitingStart) else (),
+            failures=self._failures,
+        )
+        statuses = (
+            _with_isolation(encoders, found),
+            *self._measuring(now_ns, frozen, found, recent),
+            filter_status(self._parameters, facts),
+            self._time.status(),
+        )
+        self._new_refusal.clear()
+        self._newly_left_out.clear()
+        self._failures = self._failures._replace(new="")
+        return statuses
+
+    def _measuring(
+        self,
+        now_ns: int,
+        frozen: dict[Sensor, FrozenReadings | None],
+        found: FaultIsolation,
+        recent: RecentPeriods | None,
+    ) -> Iterator[Status]:
+        """Yield the statuses of the compass and of the fixes."""
+        readings = SensorReadings() if recent is None else recent.readings
+        for sensor, of_sensor, expected in (
+            (Sensor.COMPASS, readings.compass, not self._parameters.lrf_use_yaw),
+            (Sensor.LRF_POSE, readings.lrf_pose, True),
+        ):
+            common = self._sensor(sensor, now_ns, expected=expected)
+            yield measuring_status(common, frozen[sensor], symptoms_of(of_sensor), found)
+
+    def _isolate(
+        self,
+        now_ns: int,
+        encoders: Status,
+        frozen: dict[Sensor, FrozenReadings | None],
+        recent: RecentPeriods | None,
+    ) -> FaultIsolation:
+        """Return the sensor that does not fit, unless a fault that is seen already explains it."""
+        if recent is None:
+            return NO_FAULT
+        if encoders.level is not Level.OK:
+            self._explained_by[Sensor.ENCODERS] = now_ns
+        self._explained_by |= {sensor: now_ns for sensor, fault in frozen.items() if fault}
+        found = isolate_fault(recent, self._parameters.wheel_separation)
+        explained = {
+            sensor
+            for sensor, last_ns in self._explained_by.items()
+            if now_ns - last_ns <= EXPLAINED_NS
+        }
+        if explained and found.named not in explained:
+            return NO_FAULT._replace(leads=found.leads)
+        return found
+
+    def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
+        """Return what can be said of any sensor."""
+        last_ns = self._heard[sensor].last_ns
+        values = self._counts(sensor)
+        if sensor in self._new_refusal:
+            return Status(sensor, Level.WARN, self._new_refusal[sensor], values)
+        if last_ns is None:
+            level = Level.WARN if expected else Level.OK
+            message = InputMessage.NONE_YET if expected else SensorMessage.NOT_USED
+            return Status(sensor, level, message, values)
+        age_ns = max(now_ns - last_ns, 0)
+        values = (("age [s]", f"{age_ns * 1e-9:.3f}"), *values)
+        stood_ns = self._stood_ns if sensor is Sensor.LRF_POSE else 0
+        if age_ns > STALE_NS:
+            if age_ns - stood_ns > STALE_NS:
+                return Status(sensor, Level.WARN, InputMessage.SILENT, values)
+            return Status(sensor, Level.OK, SensorMessage.STANDING, values)
+        if self._newly_left_out[sensor]:
+            return Status(sensor, Level.WARN, SensorMessage.TOO_FAST, values)
+        return Status(sensor, Level.OK, InputMessage.RECEIVED, values)
+
+    def _counts(self, sensor: Sensor) -> Values:
+        """Return the values of any sensor but for the age of its last message."""
+        values: Values = (
+            ("received", str(self._heard[sensor].count)),
+            ("refused", str(self._refused[sensor])),
+        )
+        if sensor in self._last_refusal:
+            values += ((LAST_REFUSAL, self._last_refusal[sensor]),)
+        if self._left_out[sensor]:
+            values += (
+                ("left out", str(self._left_out[sensor])),
+                ("left out since the last report", str(self._newly_left_out[sensor])),
+                ("largest rate that is used [1/s]", f"{MOST_READINGS_A_SECOND:.0f}"),
+            )
+        return values
+
+    def _missing(self, waiting: AwaitingStart) -> tuple[FilterMessage, ...]:
+        """Return what a filter that waits waits for."""
+        missing = []
+        if self._heard[Sensor.ENCODERS].last_ns is None:
+            missing.append(FilterMessage.AWAITS_COUNTS)
+        if waiting.given_pose is None:
+            if waiting.position is None:
+                missing.append(FilterMessage.AWAITS_POSITION)
+            if waiting.yaw is None:
+                missing.append(FilterMessage.AWAITS_YAW)
+        return tuple(missing) or (FilterMessage.AWAITS_PERIOD,)
+
+
+def _with_isolation(encoders: Status, found: FaultIsolation) -> Status:
+    """Return the encoders' status, WARN if they are what does not fit."""
+    if encoders.level is not Level.OK or found.named is not Sensor.ENCODERS:
+        return encoders
+    if found.sizes is None:
+        return encoders._replace(level=Level.WARN, message=EncoderMessage.DISAGREE)
+    return encoders._replace(
+        level=Level.WARN,
+        message=join(size_messages(found.sizes)),
+        values=(*encoders.values, *size_values(found.sizes)),
+    )
+
+
+def _sensor_of(event: Event) -> Sensor | None:
+    if isinstance(event, WheelCount):
+        return Sensor.ENCODERS
+    if isinstance(event, CompassYaw):
+        return Sensor.COMPASS
+    return Sensor.LRF_POSE if isinstance(event, PoseFix) else None

@@ -1,0 +1,72 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The statuses `compass` and `lrf_pose`: silent, refused, frozen, disagreeing."""
+
+from fnn_ekf_ros.diagnostics.fault_isolation import (
+    BAND_CHANCE,
+    CLEARED_LEAD,
+    MANY_REJECTIONS,
+    FaultIsolation,
+    Scatter,
+    Symptoms,
+)
+from fnn_ekf_ros.diagnostics.frozen import FrozenReadings
+from fnn_ekf_ros.diagnostics.messages import OTHERS, SensorMessage, fill
+from fnn_ekf_ros.diagnostics.noise_words import Values
+from fnn_ekf_ros.timeline.events import Level, Sensor, Status
+
+SCATTER = {
+    Scatter.AS_ASSUMED: "as the assumed noise",
+    Scatter.MORE: "more than the assumed noise",
+    Scatter.LESS: "less than the assumed noise",
+}
+"""The value of the key `scatter`."""
+
+
+def measuring_status(
+    common: Status, frozen: FrozenReadings | None, symptoms: Symptoms, found: FaultIsolation
+) -> Status:
+    """Return the status of a measuring sensor.
+
+    Args:
+        common: what can be said of any sensor.
+        frozen: its readings that should have changed, if there are any.
+        symptoms: of its last readings.
+        found: the sensor that does not fit the others.
+    """
+    sensor = Sensor(common.name)
+    status = common._replace(values=(*common.values, *_values(symptoms)))
+    if frozen is not None:
+        status = status._replace(values=(*status.values, *frozen.values()))
+    if status.level is not Level.OK:
+        return status
+    if frozen is not None:
+        return status._replace(level=Level.WARN, message=frozen.message)
+    if found.named is sensor:
+        return status._replace(level=Level.WARN, message=_named_message(sensor, symptoms))
+    calm = not found.suspects and max(found.leads) < CLEARED_LEAD
+    if symptoms.scatter is Scatter.LESS and calm:  # too large an assumed noise is no fault
+        return status._replace(message=SensorMessage.SCATTER_LESS)
+    if symptoms.abnormal:
+        return status._replace(message=SensorMessage.AFFECTED)
+    return status
+
+
+def _named_message(sensor: Sensor, symptoms: Symptoms) -> str:
+    if symptoms.rejected >= MANY_REJECTIONS:
+        return fill(SensorMessage.REJECTED, others=OTHERS[sensor])
+    if symptoms.scatter is Scatter.MORE:
+        return SensorMessage.SCATTER_MORE
+    return fill(SensorMessage.DISAGREES, others=OTHERS[sensor])
+
+
+def _values(symptoms: Symptoms) -> Values:
+    low, high = symptoms.band
+    return (
+        ("last readings", str(symptoms.seen)),
+        ("rejected of the last readings", str(symptoms.rejected)),
+        ("NIS per degree of freedom", f"{symptoms.nis:.2f}"),
+        (f"its {1.0 - BAND_CHANCE:.1%} band", f"{low:.2f} to {high:.2f}"),
+        ("scatter", SCATTER[symptoms.scatter]),
+    )

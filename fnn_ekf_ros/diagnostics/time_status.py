@@ -1,0 +1,87 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The status `time`: late, repeated and reordered messages, clocks that jump."""
+
+from fnn_ekf_ros.diagnostics.messages import TimeMessage, fill
+from fnn_ekf_ros.diagnostics.noise_words import Values
+from fnn_ekf_ros.timeline.events import Level, Sensor, Status
+
+
+class TimeStatus:
+    """Counts late, repeated and reordered inputs, and jumps of the clock."""
+
+    def __init__(self) -> None:
+        self._dropped = self._repeated = self._out_of_order = self._redone = self._restarts = 0
+        self._overruns = self._pauses = 0
+        self._new_trouble = self._new_jump = ""
+        self._last_drop = self._last_jump = self._last_overrun = ""
+
+    def dropped(self, message: TimeMessage, sensor: Sensor | None, delay_ns: int) -> None:
+        """Count an event that was refused for its stamp.
+
+        Args:
+            message: `LATE` or `AHEAD`.
+            sensor: whose it was; None for a pose that was set.
+            delay_ns: the clock minus its stamp [ns].
+        """
+        self._dropped += 1
+        self._new_trouble = fill(message, input=sensor or "initialpose")
+        self._last_drop = f"{delay_ns * 1e-9:.3f}"
+
+    def repeated(self) -> None:
+        """Count a message that had been there before."""
+        self._repeated += 1
+
+    def out_of_order(self) -> None:
+        """Count a message that came after one with a later stamp."""
+        self._out_of_order += 1
+
+    def redone(self, periods: int) -> None:
+        """Count the periods that were run again for late inputs."""
+        self._redone += periods
+
+    def restarted(self, from_ns: int, to_ns: int) -> None:
+        """Count a restart by a jump of the clock between two instants [ns]."""
+        self._restarts += 1
+        self._new_jump = TimeMessage.WENT_BACK if to_ns < from_ns else TimeMessage.JUMPED_AHEAD
+        self._last_jump = f"{(to_ns - from_ns) * 1e-9:.3f}"
+
+    def paused(self, time_ns: int) -> None:
+        """Count a jump of the clock ahead that is no restart yet, or a pause [ns]."""
+        self._pauses += 1
+        self._new_jump = TimeMessage.PAUSED
+        self._last_jump = f"{time_ns * 1e-9:.3f}"
+
+    def overran(self, seconds: float) -> None:
+        """Count a delay of more than a period [s]."""
+        self._overruns += 1
+        self._new_trouble = TimeMessage.OVERRUN
+        self._last_overrun = f"{seconds:.2f}"
+
+    def status(self) -> Status:
+        """Return the status; events since the last one decide its level."""
+        values: Values = (
+            ("dropped", str(self._dropped)),
+            ("duplicates", str(self._repeated)),
+            ("out of order", str(self._out_of_order)),
+            ("periods run again for late inputs", str(self._redone)),
+            ("restarts", str(self._restarts)),
+            ("jumps ahead or pauses", str(self._pauses)),
+            ("cycle overruns", str(self._overruns)),
+        )
+        values += tuple(
+            (key, value)
+            for key, value in (
+                ("last dropped, delay [s]", self._last_drop),
+                ("last jump of the clock [s]", self._last_jump),
+                ("last overrun [s]", self._last_overrun),
+            )
+            if value
+        )
+        # Late and early stamps are what a jump leaves: the jump is reported first.
+        trouble = self._new_jump or self._new_trouble
+        self._new_trouble = self._new_jump = ""
+        if trouble:
+            return Status("time", Level.WARN, trouble, values)
+        return Status("time", Level.OK, TimeMessage.IN_ORDER, values)

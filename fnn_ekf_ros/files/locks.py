@@ -1,0 +1,42 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Locks that go with the process that holds them, however it ends and in whichever container."""
+
+import errno
+import fcntl
+import os
+from contextlib import ExitStack
+from pathlib import Path
+
+from fnn_ekf_ros.errors import FnnEkfError
+
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
+"""Errors of a file system that has no locks."""
+
+
+def lock(path: Path, flags: int, taken: FnnEkfError) -> ExitStack:
+    """Lock a file or folder, until the result is closed or the process ends.
+
+    A file system without locks lets everybody have it.
+
+    Args:
+        path: what to lock.
+        flags: with which to open it.
+        taken: the error to raise if another process has the lock.
+
+    Raises:
+        FnnEkfError: another process has the lock.
+        OSError: the file or folder cannot be opened.
+    """
+    with ExitStack() as held:
+        descriptor = os.open(path, flags, 0o666)
+        held.callback(os.close, descriptor)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise taken from None
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+        return held.pop_all()

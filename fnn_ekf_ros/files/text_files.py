@@ -1,0 +1,109 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Small text files: read with one clear error, written whole or not at all."""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from fnn_ekf_ros.errors import FnnEkfError
+
+_LONGEST_NAME = 240
+"""Longest name of a file that a partial file is named after [bytes]: a file system allows 255, and
+a dot and a process number have to fit."""
+
+
+def read_text(path: Path, what: str, kind: type[FnnEkfError]) -> str:
+    """Return a text file's content.
+
+    Args:
+        path: the file.
+        what: what it is, for the error's first words.
+        kind: the error to raise.
+
+    Raises:
+        FnnEkfError: it is not there, no regular file or no text.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise kind(f"{what} '{path}' is no file: expected a text file")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise kind(f"{what} '{path}': {error.strerror}") from None
+    except ValueError:  # not UTF-8, or a NUL byte in the name
+        raise kind(f"{what} '{path}' is no text file") from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file so that it is there completely or not at all, whatever ends the process.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    with written_whole(path) as partial, partial.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def write_json(path: Path, content: Any, indent: int = 1) -> None:
+    """Write a JSON file as `write_text` does; no number in it is NaN or infinite.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    write_text(path, json.dumps(content, indent=indent, allow_nan=False) + "\n")
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yield the name of a hidden file to write, which then replaces a file or is removed.
+
+    Raises:
+        FnnEkfError: the file cannot be written.
+    """
+    partial = path.parent / f".{_stem(path)}.{os.getpid()}"
+    try:
+        if path.exists() and not path.is_file():
+            raise FnnEkfError(f"'{path}' is no file: expected the name of a file to write")
+        yield partial
+        partial.replace(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FnnEkfError(f"'{path}' cannot be written: {reason}") from None
+    finally:
+        with suppress(OSError, ValueError):
+            partial.unlink(missing_ok=True)
+
+
+def remove_partials(path: Path) -> int:
+    """Remove what writers that were killed have left of a file; return how many there were.
+
+    Raises:
+        FnnEkfError: one cannot be removed.
+    """
+    name = re.compile(rf"\.{re.escape(_stem(path))}\.[0-9]+")
+    try:
+        found = [entry for entry in path.absolute().parent.iterdir() if name.fullmatch(entry.name)]
+        for partial in found:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise FnnEkfError(f"remains of '{path}': {error.strerror}") from None
+    return len(found)
+
+
+def _stem(path: Path) -> str:
+    """Return what the names of a file's partials begin with, short enough for more to follow."""
+    name = os.fsencode(path.name)
+    return path.name if len(name) <= _LONGEST_NAME else hashlib.sha256(name).hexdigest()
+
+
+def readable(text: str) -> str:
+    """Return a name that can be printed: U+FFFD stands for bytes that are not UTF-8."""
+    return re.sub("[\ud800-\udfff]", "\N{REPLACEMENT CHARACTER}", text)

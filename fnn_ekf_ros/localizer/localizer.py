@@ -1,0 +1,308 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The localizer: messages in, in any order; estimates out, one a period.
+
+A period ends at an integer multiple of `period` in ROS time. It is closed `output_delay` after its
+end if both wheels are known up to there, otherwise `encoder_timeout` after its end. Later inputs
+change later periods only: closed periods are run again with all that is known now (`history`), but
+are not published again.
+
+A period is cut into epochs (`timeline.epochs`) at the instants of its readings, so that each
+reading corrects the filter at its own time: `period` decides when an estimate is published, not
+what is fused.
+
+The output thus depends on the stamps and not on the time of arrival of a message, as long as it
+arrives before its period is closed. Node, `replay`, `study real` and the fault studies drive this
+one object.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.adaptation import AdaptationMode, Networks
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.state import FilterModel, FilterState
+from fnn_ekf_ros.diagnostics.messages import TimeMessage
+from fnn_ekf_ros.diagnostics.recent_periods import RecentPeriods, last_move, new_move
+from fnn_ekf_ros.diagnostics.report import DiagnosticsReport
+from fnn_ekf_ros.localizer.history import NEVER_NS, History, noise_to_keep
+from fnn_ekf_ros.localizer.saved_state import SavedState
+from fnn_ekf_ros.messages.reading import read_input
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.timeline.events import (
+    CompassYaw,
+    Estimate,
+    Event,
+    Output,
+    PoseFix,
+    PoseReset,
+    Rejected,
+    Status,
+)
+from fnn_ekf_ros.timeline.filter_model import filter_model
+from fnn_ekf_ros.timeline.initialization import AwaitingStart
+from fnn_ekf_ros.timeline.period import Period
+
+LONGEST_SILENCE_PERIODS = 1600
+"""Number of periods from which on a jump of the clock ahead starts the localizer anew instead of
+filling the time: ten minutes at 375 ms, and about a second of work."""
+LARGEST_LEAD_NS = 10**9
+"""Largest lead of a stamp over the clock that is accepted [ns]: synchronized clocks differ less."""
+LONGEST_PAUSE_NS = 5 * 10**9
+"""Time without a look at the clock from which on it has jumped, or the machine stood still [ns]."""
+REPORT_INTERVAL_NS = 10**9
+"""Interval of diagnostics [ns]: they are reported with the first period that ends in each one."""
+
+
+class Received(NamedTuple):
+    """The result of a message.
+
+    Attributes:
+        outputs: of the periods that were closed with it.
+        rejected: why it was refused; None if it was used.
+    """
+
+    outputs: list[Output]
+    rejected: Rejected | None = None
+
+
+class Localizer:
+    """The localizer without ROS.
+
+    Args:
+        parameters: the localizer's parameters.
+        networks: the membership functions that the adaptation uses.
+        on_period: is called with every period that is run, also when it is run again.
+        warm_start: pose and noise to start from instead of the parameters'. The robot may have been
+            moved since then: the square of `initial_pose_std` is added to the pose's variance.
+        dead_reckoning: whether compass and fixes are ignored once the filter has started.
+    """
+
+    def __init__(
+        self,
+        parameters: LocalizerParameters,
+        networks: Networks,
+        on_period: Callable[[Period], None] | None = None,
+        warm_start: SavedState | None = None,
+        dead_reckoning: bool = False,
+    ) -> None:
+        self.parameters = parameters
+        self._on_period = on_period
+        self._dead_reckoning = dead_reckoning
+        self._model = _model(parameters, networks)
+        self._diagnostics = DiagnosticsReport(parameters)
+        self._period_ns = round(parameters.period * 1e9)
+        self._timeout_ns = round(parameters.encoder_timeout * 1e9)
+        self._delay_ns = round(parameters.output_delay * 1e9)
+        self._longest_wait_ns = max(self._timeout_ns, self._delay_ns)
+        self._kept_ns = round(parameters.history * 1e9)
+        self._longest_silence_ns = LONGEST_SILENCE_PERIODS * self._period_ns + self._longest_wait_ns
+        self._now_ns: int
+        self.reset()
+        self._warm_start = warm_start
+        if warm_start is not None:
+            self._start_noise = warm_start.process_noise, warm_start.measurement_noise
+
+    def receive(self, topic: str, message: Any, now_ns: int) -> Received:
+        """Take a message in; return the periods closed by it and by the time that has passed.
+
+        Args:
+            topic: one of `messages.input_topics`.
+            message: of the topic's type, as rclpy or rosbags gives it.
+            now_ns: ROS time at which it arrived [ns].
+        """
+        events = read_input(topic, message, now_ns, self.parameters)
+        if isinstance(events, Rejected):
+            self._diagnostics.rejected(events)
+            return Received(self.advance(now_ns), events)
+        outputs = [output for event in events for output in self.add(event, now_ns)]
+        return Received(outputs + self.advance(now_ns))
+
+    def add(self, event: Event, now_ns: int) -> list[Output]:
+        """Take an event in; return the periods closed by it and by the time that has passed.
+
+        Args:
+            event: stamped in ROS time, not necessarily in order.
+            now_ns: ROS time at which it arrived [ns].
+        """
+        outputs = self.advance(now_ns)
+        if isinstance(event, PoseReset):  # a command, not a measurement: never too late
+            oldest_ns = self._history.oldest.stamp_ns
+            event = event._replace(stamp_ns=max(event.stamp_ns, oldest_ns + 1))
+        if self._accepts(event, now_ns):
+            self._diagnostics.took(event, self._history.add(event))
+        if self._now_ns >= self._open_until_ns:
+            outputs += self._close_due()
+        return outputs
+
+    def advance(self, now_ns: int) -> list[Output]:
+        """Let ROS time pass; return the periods that have waited for the wheels too long."""
+        if (
+            self._now_ns <= now_ns < self._open_until_ns
+            and now_ns <= self._now_ns + LONGEST_PAUSE_NS
+        ):  # most messages: the open period goes on, and the clock did not jump
+            self._now_ns = now_ns
+            return []
+        if now_ns > self._now_ns + LONGEST_PAUSE_NS and not self._history.is_empty:
+            self._diagnostics.paused(now_ns - self._now_ns)
+        went_back = now_ns < self._now_ns - self._kept_ns
+        jumped_ahead = (
+            not self._history.is_empty
+            and now_ns > self._history.newest.stamp_ns + self._longest_silence_ns
+        )
+        if went_back or jumped_ahead:
+            self._diagnostics.restarted(self._now_ns, now_ns)
+            self._start_anew(self._noise())
+        self._now_ns = max(now_ns, self._now_ns)
+        if self._history.is_empty:
+            self._begin(now_ns)
+        return self._close_due()
+
+    def overran(self, seconds: float) -> None:
+        """Count a delay of the caller of more than a period [s]."""
+        self._diagnostics.overran(seconds)
+
+    def report(self) -> tuple[Status, ...]:
+        """Return the statuses as they are now."""
+        now_ns = 0 if self._history.is_empty else self._history.newest.stamp_ns
+        return self._diagnostics.report(now_ns, self._state(), None, self._mode(), self._recent())
+
+    def saved(self) -> SavedState | None:
+        """Return the state to save for the next start; None while no pose is known."""
+        if self._history.is_empty:
+            return None
+        last = self._history.newest
+        if isinstance(last.state, AwaitingStart):
+            pose, covariance = last.state.given_pose, last.state.given_covariance
+        else:
+            pose, covariance = last.state.mean, last.state.covariance
+        if pose is None:
+            return None
+        return SavedState(last.stamp_ns, pose, covariance, *self._noise())
+
+    def reset(self) -> None:
+        """Forget the pose and the adapted noise, also those of a warm start."""
+        self._warm_start = None
+        self._start_anew(
+            (np.asarray(self._model.process_noise), np.asarray(self._model.measurement_noise))
+        )
+
+    def enable_adaptation(self, enabled: bool) -> None:
+        """Let the noise adapt, or keep it as it is now."""
+        self._model = dataclasses.replace(
+            self._model, adaptation=dataclasses.replace(self._model.adaptation, learning=enabled)
+        )
+
+    def change(self, parameters: LocalizerParameters, networks: Networks) -> None:
+        """Go on with other parameters, from the period that is open; noise and pose stay.
+
+        Args:
+            parameters: may differ in those that can change at run time, and in no others.
+            networks: the membership functions that they ask for.
+        """
+        learning = self._model.adaptation.learning
+        self.parameters = parameters
+        self._model = _model(parameters, networks)
+        self.enable_adaptation(learning)
+        self._diagnostics.changed(parameters)
+
+    def _mode(self) -> AdaptationMode:
+        adaptation = self._model.adaptation
+        return adaptation.mode if adaptation.learning else AdaptationMode.NONE
+
+    def _start_anew(self, noise: tuple[FloatArray, FloatArray]) -> None:
+        """Forget the pose and the inputs, and start with Q and R."""
+        self._start_noise = noise
+        self._history = History(self.parameters, self._diagnostics, self._on_period)
+        self._now_ns = self._open_until_ns = -NEVER_NS
+
+    def _noise(self) -> tuple[FloatArray, FloatArray]:
+        """Return the adapted Q and R, without the temporary share of an alarm."""
+        if self._history.is_empty:
+            return self._start_noise
+        return noise_to_keep(self._model, self._history.newest.state)
+
+    def _state(self) -> FilterState | AwaitingStart:
+        if self._history.is_empty:
+            return AwaitingStart(*self._start_noise)
+        return self._history.newest.state
+
+    def _recent(self) -> RecentPeriods | None:
+        return None if self._history.is_empty else self._history.newest.recent
+
+    def _accepts(self, event: Event, now_ns: int) -> bool:
+        if event.stamp_ns - now_ns > LARGEST_LEAD_NS:
+            self._diagnostics.dropped(TimeMessage.AHEAD, event, now_ns)
+            return False
+        if event.stamp_ns <= self._history.oldest.stamp_ns:  # nothing older is kept
+            self._diagnostics.dropped(TimeMessage.LATE, event, now_ns)
+            return False
+        measured = isinstance(event, CompassYaw | PoseFix)
+        return not (self._dead_reckoning and measured and isinstance(self._state(), FilterState))
+
+    def _begin(self, now_ns: int) -> None:
+        """Open the first period, early enough for all messages that are on their way."""
+        waiting = AwaitingStart(*self._start_noise)
+        covariance = np.diag(np.square(self.parameters.initial_pose_std))
+        if self._warm_start is not None:  # once: after a jump of the clock it is too old
+            waiting = waiting._replace(
+                given_pose=self._warm_start.pose,
+                given_covariance=covariance + self._warm_start.covariance,
+            )
+            self._warm_start = None
+        elif not np.isnan(self.parameters.initial_pose[0]):
+            waiting = waiting._replace(
+                given_pose=np.array(self.parameters.initial_pose), given_covariance=covariance
+            )
+        begin_ns = now_ns - max(self._kept_ns, self._longest_wait_ns)
+        begin_ns = (begin_ns - 1) // self._period_ns * self._period_ns
+        if now_ns >= 0:  # nothing is stamped before 0, where simulated time begins
+            begin_ns = max(begin_ns, -self._period_ns)
+        self._history.begin(begin_ns, waiting, self._model)
+
+    def _close_due(self) -> list[Output]:
+        """Close the periods that can be closed now, and note when the next one can be."""
+        outputs = self._close()
+        self._open_until_ns = self._history.newest.stamp_ns + self._period_ns + self._delay_ns
+        return outputs
+
+    def _close(self) -> list[Output]:
+        """Close the periods that can be closed now."""
+        outputs: list[Output] = []
+        while True:
+            end_ns = self._history.newest.stamp_ns + self._period_ns
+            if self._now_ns < end_ns + self._delay_ns:
+                return outputs
+            known_ns = self._history.inputs.wheels_known_until_ns()
+            complete = known_ns is not None and known_ns >= end_ns
+            if not complete and self._now_ns < end_ns + self._longest_wait_ns:
+                return outputs
+            known = last_move(self._recent())
+            estimate = self._history.close(end_ns, self._model)
+            moved = new_move(known, self._recent())
+            self._diagnostics.closed(end_ns, complete, self._history.newest.counts, estimate)
+            outputs.append(
+                Output(
+                    stamp_ns=end_ns,
+                    estimate=estimate,
+                    statuses=self._report(end_ns, estimate),
+                    moved=moved,
+                )
+            )
+            self._history.forget()
+
+    def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:
+        if end_ns // REPORT_INTERVAL_NS == (end_ns - self._period_ns) // REPORT_INTERVAL_NS:
+            return None
+        return self._diagnostics.report(
+            end_ns, self._state(), estimate, self._mode(), self._recent()
+        )
+
+
+def _model(parameters: LocalizerParameters, networks: Networks) -> FilterModel:
+    """Return the filter's model, with the suspects that fault isolation needs."""
+    return dataclasses.replace(filter_model(parameters, networks), suspects=True)

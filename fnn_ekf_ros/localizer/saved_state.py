@@ -1,0 +1,26 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The state of a localizer that outlives its process."""
+
+from typing import NamedTuple
+
+from fnn_ekf_ros.core.arrays import FloatArray
+
+
+class SavedState(NamedTuple):
+    """Pose and adapted noise of a localizer.
+
+    Attributes:
+        stamp_ns: ROS time of the pose [ns].
+        pose: `(3,)` [x, y, yaw] in the map frame (m, m, rad).
+        covariance: `(3, 3)` of the pose, positive definite.
+        process_noise: `(2,)` diagonal of Q for 375 ms, without an alarm's share (m^2, rad^2).
+        measurement_noise: `(4,)` diagonal of R, rows as in `Row`, without an alarm's share.
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray
+    process_noise: FloatArray
+    measurement_noise: FloatArray

@@ -1,0 +1,213 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Writing of rosbag2 recordings, whole or not at all."""
+
+import os
+import shutil
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any, Self
+
+from fnn_ekf_ros.messages import Message
+from fnn_ekf_ros.recordings.bag_files import BagError, Record, Topic, reason
+from fnn_ekf_ros.recordings.rosbags_api import (
+    RELIABLE,
+    TYPESTORE,
+    CompressionFormat,
+    CompressionMode,
+    Connection,
+    StoragePlugin,
+    Writer,
+)
+
+STORAGES = ("mcap", "sqlite3")
+"""Storage formats of rosbag2 that can be written, the default first."""
+_NESTED = (Message, list)
+"""Types of the fields of a message tree that are built themselves."""
+
+
+class BagWriter:
+    """A recording that appears under its name only once it is complete; a context manager.
+
+    Until then it grows in a hidden folder beside its place, `.NAME.xxxxxxxx`, which is all that a
+    process that is killed leaves behind.
+
+    Args:
+        path: the bag's folder; must not exist.
+        storage: one of `STORAGES`.
+        notes: texts to keep in the bag's metadata, such as the parameters that made it.
+        beside: text of a file to go with the bag, `NAME.yaml` beside `NAME`; empty for none.
+
+    Raises:
+        BagError: the path exists or cannot be written to.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        storage: str = "mcap",
+        notes: Mapping[str, str] = {},
+        beside: str = "",
+    ) -> None:
+        self.path = path
+        refuse_existing(path)
+        self._results = [path]
+        if beside:
+            refuse_existing(file_beside(path))
+            self._results.append(file_beside(path))
+        self._storage, self._notes, self._beside = storage, notes, beside
+        self._connections: dict[str, Connection] = {}
+
+    def add_topic(self, topic: Topic) -> None:
+        """Announce a topic; `write` does so by itself for topics of ROS 2 Jazzy's types.
+
+        Raises:
+            BagError: neither ROS 2 Jazzy nor the topic itself has a definition of its type.
+        """
+        if topic.name in self._connections:
+            return
+        known = topic.type_name in TYPESTORE.types
+        if not known and not (topic.definition and topic.digest):
+            raise BagError(f"topic {topic.name}: the definition of {topic.type_name} is not known")
+        self._connections[topic.name] = self._writer.add_connection(
+            topic.name,
+            topic.type_name,
+            typestore=TYPESTORE,
+            msgdef=None if known else topic.definition,
+            rihs01=None if known else topic.digest,
+            offered_qos_profiles=topic.qos or (RELIABLE,),
+        )
+
+    def write(self, topic: str, message: Message, time_ns: int) -> None:
+        """Write a message; `topic` is absolute, `time_ns` the time of recording [ns]."""
+        data = TYPESTORE.serialize_cdr(_built(message), message.type_name)
+        self.write_raw(Record(topic, message.type_name, time_ns, bytes(data)))
+
+    def write_raw(self, record: Record) -> None:
+        """Write a record as it is.
+
+        Raises:
+            BagError: the disk is full, or the topic has another type.
+        """
+        topic, type_name, time_ns, data = record
+        connection = self._connections.get(topic)
+        if connection is None:
+            self.add_topic(Topic(topic, type_name, 0))
+            connection = self._connections[topic]
+        if connection.msgtype != type_name:
+            raise BagError(
+                f"bag '{self.path}': topic {topic} is {connection.msgtype}, a {type_name} cannot "
+                "be written to it"
+            )
+        try:
+            self._writer.write(connection, time_ns, data)
+        except Exception as error:  # the storages raise errors of many kinds
+            raise self._broken(error) from None
+
+    def __enter__(self) -> Self:
+        """Open the bag in a hidden folder beside its place."""
+        try:
+            self._work = TemporaryDirectory(
+                prefix=f".{self.path.name}.", dir=self.path.parent, ignore_cleanup_errors=True
+            )
+        except OSError as error:
+            raise self._broken(error) from None
+        try:
+            self._open()
+        except Exception as error:  # the storages raise errors of many kinds
+            self._work.cleanup()
+            raise self._broken(error) from None
+        except BaseException:  # a signal
+            self._work.cleanup()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Put the bag in its place, or leave nothing if something went wrong."""
+        placed: list[Path] = []
+        try:
+            if error is not None:
+                with suppress(Exception):
+                    self._writer.abort()
+                return
+            self._writer.close()
+            for result in self._results:
+                refuse_existing(result)
+                (Path(self._work.name) / result.name).rename(result)
+                placed.append(result)
+        except Exception as failure:  # the storages raise errors of many kinds
+            for result in placed:
+                shutil.rmtree(result, ignore_errors=True)
+            if isinstance(failure, BagError):
+                raise
+            raise self._broken(failure) from None
+        finally:
+            self._work.cleanup()
+
+    def _open(self) -> None:
+        work = Path(self._work.name)
+        if self._beside:
+            (work / file_beside(self.path).name).write_text(self._beside, encoding="utf-8")
+        mcap = self._storage == "mcap"
+        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+        self._writer = Writer(work / self.path.name, version=9, storage_plugin=plugin)
+        if mcap:
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        for key, text in self._notes.items():
+            self._writer.set_custom_data(key, text)
+        self._writer.open()
+
+    def _broken(self, error: Exception) -> BagError:
+        return BagError(f"bag '{self.path}' cannot be written ({reason(error)})")
+
+
+def file_beside(bag: Path) -> Path:
+    """Return where the parameter file that goes with a bag lies: `NAME.yaml` beside `NAME`.
+
+    Raises:
+        BagError: the path is the root of the file system.
+    """
+    named = bag.resolve() if bag.name in ("", "..") else bag
+    if not named.name:
+        raise BagError(f"'{bag}' has no name: expected the folder or the file of a recording")
+    return named.with_name(f"{named.name}.yaml")
+
+
+def refuse_existing(path: Path) -> None:
+    """Check that a result can get its name.
+
+    Raises:
+        BagError: something has it, its folder does not exist or is itself a bag, or it is none.
+    """
+    shown = f"'{str(path)[:80]}'"
+    if path.name in ("", "..") or not path.name.isprintable() or len(os.fsencode(path.name)) > 200:
+        raise BagError(f"{shown} cannot be the name of a result: choose another")
+    if os.path.lexists(path):
+        raise BagError(f"{shown} exists already: choose another name, or remove it first")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise BagError(f"{shown} cannot be written: folder '{path.parent}' does not exist")
+    if (folder / "metadata.yaml").exists():
+        raise BagError(f"{shown} would lie inside the bag '{path.parent}': choose another place")
+
+
+def _built(message: Message) -> Any:
+    """Return the rosbags message of a tree."""
+    fields = message.fields
+    built = {name: _value(field) for name, field in fields.items() if isinstance(field, _NESTED)}
+    return TYPESTORE.types[message.type_name](**(fields | built if built else fields))
+
+
+def _value(field: Message | list[Any]) -> Any:
+    if isinstance(field, Message):
+        return _built(field)
+    return [_value(entry) if isinstance(entry, _NESTED) else entry for entry in field]

@@ -1,0 +1,208 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings of `study real`: read once by the localizer, then through every filter."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.state import FilterModel
+from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.recordings.bag_files import BagError, BagReader
+from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in, last_words, take
+from fnn_ekf_ros.recordings.scoring import interpolate
+from fnn_ekf_ros.recordings.trajectories import read_trajectory
+from fnn_ekf_ros.reports.progress import with_progress
+from fnn_ekf_ros.study.filters import EKF, localizer_models
+from fnn_ekf_ros.study.real import (
+    BatchStart,
+    RealScore,
+    Run,
+    batch_start,
+    collect,
+    diverged,
+    recording_localizer,
+    rows_measured,
+    run_starts,
+    score_starts,
+)
+from fnn_ekf_ros.study.starts import ALL_CELLS
+from fnn_ekf_ros.timeline.initialization import AwaitingStart
+
+
+class RealRecording(NamedTuple):
+    """A bag, ready to be run.
+
+    Attributes:
+        label: the bag's name.
+        parameters: of the localizer; their noise is what a factor of 1 stands for.
+        parameter_files: where they are from.
+        batch: starts and periods.
+        truth: `(T, 3)` true poses at the start and at each period's end; NaN where not known.
+    """
+
+    label: str
+    parameters: LocalizerParameters
+    parameter_files: list[str]
+    batch: BatchStart
+    truth: FloatArray
+
+
+class FilterResult(NamedTuple):
+    """What a filter came to from every start.
+
+    Attributes:
+        name: what `--filters` calls it.
+        label: what tables and figures call it.
+        score: `(n,)` errors.
+        diverged: `(n,)` 1 where it was lost, else 0.
+        process_noise_std: `(n, 2)` in use at the end (m, rad).
+        measurement_noise_std: `(n, 4)` in use at the end (m, m, rad, rad).
+        position_with_noise_found: `(n,)` position RMSE of EKFs with that noise [m].
+    """
+
+    name: str
+    label: str
+    score: RealScore
+    diverged: FloatArray
+    process_noise_std: FloatArray
+    measurement_noise_std: FloatArray
+    position_with_noise_found: FloatArray
+
+
+class BagResult(NamedTuple):
+    """What the filters came to on a recording.
+
+    Attributes:
+        label: the bag's name.
+        parameter_files: where the parameters are from.
+        process_noise_std: that a factor of 1 stands for (m, rad).
+        measurement_noise_std: that a factor of 1 stands for (m, m, rad, rad).
+        rows: that were measured.
+        duration_s: from the first estimate to the last [s].
+        estimates: how many.
+        scored: how many of them with a known truth.
+        best_position: position RMSE of the best EKF [m].
+        filters: the EKF first.
+    """
+
+    label: str
+    parameter_files: tuple[str, ...]
+    process_noise_std: tuple[float, ...]
+    measurement_noise_std: tuple[float, ...]
+    rows: tuple[Row, ...]
+    duration_s: float
+    estimates: int
+    scored: int
+    best_position: float
+    filters: tuple[FilterResult, ...]
+
+
+def read_recording(
+    path: Path,
+    label: str,
+    parameters: LocalizerParameters,
+    files: list[str],
+    truth_topic: str,
+    remappings: list[str],
+) -> RealRecording:
+    """Take a bag through the localizer once, for its periods.
+
+    Args:
+        path: the bag.
+        label: its name.
+        parameters: of the localizer.
+        files: names of the files that the parameters are from.
+        truth_topic: topic of the ground truth.
+        remappings: `FROM:=TO` of the command line.
+
+    Raises:
+        BagError: the bag cannot be used.
+    """
+    localizer, recorder = recording_localizer(parameters)
+    names = TopicNames(remappings)
+    with BagReader(path) as bag:
+        truth = read_trajectory(bag, truth_topic)
+        inputs = inputs_in(bag, parameters, names)
+        for record in with_progress(bag.records(), bag.message_count, f"{label}: reading"):
+            take(localizer, bag, record, inputs)
+    periods = recorder.periods
+    if recorder.broken_ns is not None:
+        raise BagError(
+            f"bag '{path}': the localizer starts anew at {recorder.broken_ns * 1e-9:.3f} s; "
+            "expected a recording without jumps of the clock"
+        )
+    if not periods or isinstance(periods[-1].after, AwaitingStart):
+        raise BagError(
+            f"bag '{path}' gives no odom: expected encoders, fixes and a yaw that start the "
+            f"filter; {last_words(localizer)}"
+        )
+    batch = batch_start(parameters, periods, ALL_CELLS)
+    true_pose = np.full((1 + len(batch.inputs), 3), np.nan)
+    if len(truth.time_ns) > 1:
+        true_pose = interpolate(truth, np.array([batch.stamp_ns, *batch.stamps_ns]))
+    if not np.any(np.isfinite(true_pose[1:, 0])):
+        raise BagError(f"bag '{path}': odom and {truth_topic} have no time in common")
+    return RealRecording(
+        label=label, parameters=parameters, parameter_files=files, batch=batch, truth=true_pose
+    )
+
+
+def run_filters(recording: RealRecording, names: Sequence[str]) -> BagResult:
+    """Run the filters and score them.
+
+    Raises:
+        FnnEkfError: a filter failed.
+    """
+    models = localizer_models(recording.parameters)
+    runs = {name: _run(recording, name, models[name].model) for name in names}
+    scores = {name: score_starts(each, recording.truth) for name, each in runs.items()}
+    best = float(np.min(scores[EKF].position))
+    filters = []
+    for name, ended in runs.items():
+        found = scores[name].position
+        if name != EKF:
+            start = recording.batch.start._replace(
+                process_noise=ended.process_noise, measurement_noise=ended.measurement_noise
+            )
+            again = recording._replace(batch=recording.batch._replace(start=start))
+            rerun = _run(again, f"EKF on noise of {name}", models[EKF].model)
+            found = score_starts(rerun, recording.truth).position
+        filters.append(
+            FilterResult(
+                name=name,
+                label=models[name].label,
+                score=scores[name],
+                diverged=diverged(scores[name], best),
+                process_noise_std=np.sqrt(ended.process_noise),
+                measurement_noise_std=np.sqrt(ended.measurement_noise),
+                position_with_noise_found=found,
+            )
+        )
+    p, stamps = recording.parameters, recording.batch.stamps_ns
+    return BagResult(
+        label=recording.label,
+        parameter_files=tuple(recording.parameter_files),
+        process_noise_std=p.process_noise_std,
+        measurement_noise_std=(*p.measurement_noise_std, p.lrf_yaw_std),
+        rows=rows_measured(recording.batch),
+        duration_s=1e-9 * (stamps[-1] - recording.batch.stamp_ns),
+        estimates=len(recording.truth),
+        scored=int(np.sum(np.isfinite(recording.truth[:, 0]))),
+        best_position=best,
+        filters=tuple(filters),
+    )
+
+
+def _run(recording: RealRecording, name: str, model: FilterModel) -> Run:
+    batch = recording.batch
+    states = run_starts(model, batch)
+    try:
+        return collect(with_progress(states, len(recording.truth), f"{recording.label}: {name}"))
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        raise FnnEkfError(f"'{recording.label}': the filter {name} failed ({error})") from None

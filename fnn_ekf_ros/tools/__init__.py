@@ -1,1 +1,0 @@
-"""The commands that work on files; each module has `add_arguments` and `run`."""

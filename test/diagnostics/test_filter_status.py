@@ -1,0 +1,188 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the filter's status says: waiting, degraded, lost, moved, at a bound, who does not fit."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from localizers import statuses
+
+from fnn_ekf_ros.localizer import history
+from fnn_ekf_ros.timeline.events import CompassYaw, Level, Output, PoseFix, Status, WheelCount
+
+FIX_LOST_NS = 15 * 10**9
+
+
+def last_status(outputs: list[Output], name: str = "filter") -> Status:
+    reports = [output.statuses for output in outputs if output.statuses is not None]
+    return next(status for status in reports[-1] if status.name == name)
+
+
+def without(arrivals: Any, kind: type, after_ns: int) -> list[Any]:
+    return [a for a in arrivals if not (isinstance(a.event, kind) and a.now_ns > after_ns)]
+
+
+@pytest.mark.slow
+def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is(
+    make_pipeline: Any, feed: Any, simulated: Any
+) -> None:
+    pipeline = make_pipeline()
+    outputs = feed(pipeline, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
+    status = last_status(outputs)
+    assert status.level is Level.WARN
+    degraded = [s for s in statuses(outputs, "filter") if "degraded: no fix" in s.message]
+    ages = [float(dict(s.values)["driving since the last fix [s]"]) for s in degraded]
+    assert 5.0 < ages[0] < 6.5
+    assert ages[-1] > 15.0
+    stds = [float(dict(s.values)["position std [m]"]) for s in degraded]
+    assert stds == sorted(stds)
+    assert stds[-1] > 1.3 * stds[0]
+    assert "no yaw" not in status.message
+
+
+def test_a_filter_without_fixes_and_with_poor_wheels_is_lost(
+    make_pipeline: Any, feed: Any, simulated: Any
+) -> None:
+    pipeline = make_pipeline(adaptation="none", process_noise_std=[2.0, 0.05])
+    outputs = feed(pipeline, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
+    status = last_status(outputs)
+    assert status.level is Level.ERROR
+    assert status.message.startswith("lost: no fix accepted while driving")
+
+
+def test_a_filter_without_a_compass_says_so(make_pipeline: Any, feed: Any, simulated: Any) -> None:
+    silent = without(simulated(11, 30.0).arrivals, CompassYaw, FIX_LOST_NS)
+    status = last_status(feed(make_pipeline(), silent))
+    assert status.level is Level.WARN
+    assert "degraded: no yaw accepted while driving" in status.message
+    assert float(dict(status.values)["driving since the last yaw [s]"]) > 10.0
+
+
+def test_a_kidnapped_robot_is_told_of_once(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
+) -> None:
+    arrivals = [
+        arrival(now_ns, event._replace(pose=event.pose + np.array([12.0, 16.0, 0.0])))
+        if isinstance(event, PoseFix) and now_ns > FIX_LOST_NS
+        else arrival(now_ns, event)
+        for now_ns, event in simulated(11, 30.0).arrivals
+    ]
+    outputs = feed(make_pipeline(), arrivals)
+    told = [s for s in statuses(outputs, "filter") if "was carried" in s.message]
+    assert len(told) == 1
+    assert told[0].level is Level.WARN
+    (move,) = [output.moved for output in outputs if output.moved is not None]
+    assert move.distance == pytest.approx(20.0, abs=0.5)
+    values = dict(last_status(outputs).values)
+    assert values["moves"] == "1"
+    assert values["last move, distance [m]"] == f"{move.distance:.1f}"
+    assert values["last move, rotation [rad]"] == f"{move.rotation:.2f}"
+    assert values["last move, stamp [s]"] == f"{move.stamp_ns * 1e-9:.1f}"
+    assert last_status(outputs).message == "running"
+    warned = [s for s in statuses(outputs, "lrf_pose") if s.level is Level.WARN]
+    assert any("readings rejected: they disagree" in s.message for s in warned)
+    assert {s.name for o in outputs if o.estimate for s in o.statuses or () if s.level} == {
+        "lrf_pose", "filter",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"adaptation": "r", "measurement_noise_std_max": [1e3, 1e3, 0.135]},
+         "compass noise at its upper bound measurement_noise_std_max"),
+        ({"adaptation": "q", "process_noise_std_min": [0.05, 1e-4]},
+         "distance noise at its lower bound process_noise_std_min"),
+        ({"adaptation": "joint", "measurement_noise_std_min": [0.1, 1e-3, 1e-3]},
+         "fixes' x noise at its lower bound measurement_noise_std_min"),
+    ],
+)  # fmt: skip
+@pytest.mark.slow
+def test_noise_that_starts_at_its_bound_is_told(
+    make_pipeline: Any, feed: Any, simulated: Any, changes: dict[str, Any], words: str
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals[:1500]
+    found = statuses(feed(make_pipeline(**changes), arrivals), "filter")
+    first = next(s for s in found if "bound" in s.message)
+    assert first.level is Level.WARN
+    assert words in first.message
+    fixed = feed(make_pipeline(**(changes | {"adaptation": "none"})), arrivals)
+    assert not any("bound" in status.message for status in statuses(fixed, "filter"))
+
+
+def spoiled(arrivals: Any, arrival: Any) -> list[Any]:
+    """Return arrivals with a compass that is turned from 15 s on."""
+    return [
+        arrival(now_ns, event._replace(yaw=event.yaw + 1.5))
+        if isinstance(event, CompassYaw) and now_ns > FIX_LOST_NS
+        else arrival(now_ns, event)
+        for now_ns, event in arrivals
+    ]
+
+
+def late_fixes(arrivals: Any, arrival: Any) -> list[Any]:
+    """Return arrivals of which every fourth fix comes 1 s late, with the stamp it has."""
+    late, count = [], 0
+    for now_ns, event in arrivals:
+        count += isinstance(event, PoseFix)
+        delayed = isinstance(event, PoseFix) and count % 4 == 0
+        late.append(arrival(now_ns + 10**9 * delayed, event))
+    return sorted(late, key=lambda a: a.now_ns)
+
+
+def test_a_turned_compass_is_named_and_nobody_else(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
+) -> None:
+    outputs = feed(make_pipeline(), spoiled(simulated(11, 30.0).arrivals, arrival))
+    warned = {s.name for o in outputs if o.estimate for s in o.statuses or () if s.level}
+    assert warned == {"compass", "filter"}
+    assert "compass disagrees with the wheels and the fixes" in last_status(outputs).message
+    assert "readings rejected" in last_status(outputs, "compass").message
+    suspicion = dict(last_status(outputs).values)["suspicion [nats]"]
+    encoders, compass, fixes = (float(words.split()[1]) for words in suspicion.split(", "))
+    assert compass > 12.0
+    assert max(encoders, fixes) < 6.0
+
+
+@pytest.mark.parametrize("mode", ["none", "joint"])
+@pytest.mark.slow
+def test_who_is_suspected_never_touches_the_estimates(
+    make_pipeline: Any,
+    feed: Any,
+    simulated: Any,
+    arrival: Any,
+    same_estimates: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    mode: str,
+) -> None:
+    arrivals = late_fixes(spoiled(simulated(11, 30.0).arrivals, arrival), arrival)
+    watched = feed(make_pipeline(adaptation=mode), arrivals)
+    assert any("disagrees" in status.message for status in statuses(watched, "filter"))
+    monkeypatch.setattr(history, "recent_after", lambda *_: None)
+    unwatched = feed(make_pipeline(adaptation=mode), arrivals)
+    assert not any("disagrees" in status.message for status in statuses(unwatched, "filter"))
+    same_estimates(watched, unwatched)
+
+
+def test_late_measurements_are_judged_as_if_they_had_come_in_time(
+    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
+) -> None:
+    arrivals = spoiled(simulated(11, 30.0).arrivals, arrival)
+    arrivals = [a for a in arrivals if a.now_ns < arrivals[-1].now_ns - 2 * 10**9]
+    rest = [a for a in arrivals if isinstance(a.event, WheelCount)][-1]
+    told = []
+    for heard in (arrivals, late_fixes(arrivals, arrival)):
+        pipeline = make_pipeline()
+        feed(pipeline, heard)
+        for wait_ns in (10**9, 2 * 10**9):  # the last periods, and all that was late
+            feed(pipeline, [arrival(rest.now_ns + wait_ns, rest.event._replace(
+                stamp_ns=rest.now_ns + wait_ns))])  # fmt: skip
+        values: dict[str, str] = {}
+        for status in pipeline.report():
+            if status.name in ("compass", "lrf_pose", "filter"):
+                values |= {f"{status.name} {key}": value for key, value in status.values}
+        told.append({key: value for key, value in values.items() if "age" not in key})
+    assert told[0] == told[1]
+    assert int(told[0]["compass rejected of the last readings"]) > 3

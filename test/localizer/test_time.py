@@ -1,0 +1,431 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Time: late inputs, their order, clocks that jump, resets, and switching the adaptation."""
+
+import random
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from localizers import (
+    PERIOD_NS,
+    SECOND_NS,
+    START_NS,
+    Feed,
+    MakePipeline,
+    Same,
+    status_at_end,
+    time_values,
+)
+
+from fnn_ekf_ros.core.joint_state import noise_without_alarms
+from fnn_ekf_ros.timeline.events import (
+    CompassYaw,
+    Event,
+    Level,
+    Output,
+    PoseFix,
+    PoseReset,
+    Status,
+    Wheel,
+    WheelCount,
+)
+from fnn_ekf_ros.timeline.filter_model import noise_bounds
+
+WRONG_START = {"adaptation": "r", "measurement_noise_std": [0.4, 0.4, 0.5]}
+
+
+def value_of(status: Status, key: str) -> str:
+    return dict(status.values)[key]
+
+
+def noise_of(output: Output) -> np.ndarray:
+    assert output.estimate is not None
+    return output.estimate.state.measurement_noise
+
+
+def delayed(arrivals: Sequence[Any], moved: Event, by_ns: int) -> list[Any]:
+    """Return arrivals in which one event comes in later."""
+    late = [a._replace(now_ns=a.now_ns + by_ns) if a.event is moved else a for a in arrivals]
+    return sorted(late, key=lambda a: a.now_ns)
+
+
+def pick(arrivals: Sequence[Any], kind: type[Event], after_ns: int) -> Any:
+    """Return the first event of a kind after a time; a measurement that ends its period."""
+    return next(
+        a.event
+        for a in arrivals
+        if isinstance(a.event, kind)
+        and a.event.stamp_ns > after_ns
+        and (kind is WheelCount or a.event.stamp_ns % PERIOD_NS == 0)
+    )
+
+
+@pytest.mark.parametrize("adaptation", ["none", "r", "q", "rq"])
+@pytest.mark.parametrize("kind", [CompassYaw, PoseFix])
+@pytest.mark.parametrize("late_s", [0.2, 0.5, 1.1, 1.6])
+@pytest.mark.slow
+def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_time(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
+    adaptation: str, kind: type, late_s: float,
+) -> None:  # fmt: skip
+    arrivals = simulated(11, 30.0).arrivals
+    event = pick(arrivals, kind, START_NS + 20 * SECOND_NS)
+    in_time = feed(make_pipeline(adaptation=adaptation), arrivals)
+    pipeline = make_pipeline(adaptation=adaptation)
+    outputs = feed(pipeline, delayed(arrivals, event, round(late_s * SECOND_NS)))
+    came_ns = event.stamp_ns + round(late_s * SECOND_NS)
+    same_estimates(
+        [o for o in outputs if o.stamp_ns > came_ns], [o for o in in_time if o.stamp_ns > came_ns]
+    )
+    between = [o for o in outputs if event.stamp_ns <= o.stamp_ns < came_ns - 20_000_000]
+    for output in between:  # what was published without it stays published
+        twin = next(o for o in in_time if o.stamp_ns == output.stamp_ns)
+        assert output.estimate is not None
+        assert twin.estimate is not None
+        if not (kind is CompassYaw and late_s == 0.2):
+            assert np.any(output.estimate.state.mean != twin.estimate.state.mean)
+    assert time_values(pipeline)["dropped"] == "0"
+    assert int(time_values(pipeline)["periods run again for late inputs"]) == len(
+        [o for o in outputs if event.stamp_ns <= o.stamp_ns < came_ns]
+    )
+
+
+def test_a_late_pose_reset_counts_at_its_stamp(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any
+) -> None:
+    arrivals = list(simulated(11, 30.0).arrivals)
+    reset = PoseReset(START_NS + 20 * SECOND_NS + 7, np.array([5.0, 5.0, 1.0]), 0.01 * np.eye(3))
+    arrivals = sorted([*arrivals, arrival(reset.stamp_ns, reset)], key=lambda a: a.now_ns)
+    in_time = feed(make_pipeline(adaptation="r"), arrivals)
+    outputs = feed(make_pipeline(adaptation="r"), delayed(arrivals, reset, SECOND_NS))
+    later = START_NS + 21 * SECOND_NS + 100
+    same_estimates(
+        [o for o in outputs if o.stamp_ns > later], [o for o in in_time if o.stamp_ns > later]
+    )
+
+
+@pytest.mark.parametrize("wheels", [[Wheel.LEFT], [Wheel.RIGHT], list(Wheel)])
+@pytest.mark.slow
+def test_wheels_that_come_late_are_made_up_for(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
+    wheels: list[Wheel],
+) -> None:  # fmt: skip
+    """A gap of 1.5 s, longer than the timeout; then all counts of the gap come at once."""
+    arrivals = simulated(11, 30.0).arrivals
+    begin, end = START_NS + 20 * SECOND_NS, START_NS + 20 * SECOND_NS + 1_500_000_000
+
+    def held_up(a: Any) -> bool:
+        return (
+            isinstance(a.event, WheelCount) and a.event.wheel in wheels and begin < a.now_ns < end
+        )
+
+    late = [a._replace(now_ns=end) if held_up(a) else a for a in arrivals]
+    late.sort(key=lambda a: a.now_ns)
+    in_time = feed(make_pipeline(adaptation="r"), arrivals)
+    pipeline = make_pipeline(adaptation="r")
+    outputs = feed(pipeline, late)
+    assert (
+        int(value_of(status_at_end(pipeline, "encoders"), "periods closed without both wheels"))
+        >= 2
+    )
+    same_estimates(
+        [o for o in outputs if o.stamp_ns > end], [o for o in in_time if o.stamp_ns > end]
+    )
+
+
+@pytest.mark.slow
+def test_a_gap_in_the_counts_is_bridged_and_no_way_is_lost(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    """Counts that are lost for good for longer than `history`: the way comes in afterwards."""
+    run = simulated(2, 40.0, slip_std=(0.0, 0.0), path="figure_eight", speed=0.05)
+    begin, end = START_NS + 20 * SECOND_NS, START_NS + 24 * SECOND_NS
+    arrivals = [
+        a for a in run.arrivals if isinstance(a.event, WheelCount) and not begin < a.now_ns < end
+    ]
+    heading = list(run.truth[min(run.truth)])
+    outputs = feed(make_pipeline(initial_pose=heading), arrivals)
+    last = outputs[-1]
+    assert last.estimate is not None
+    way = np.linalg.norm(last.estimate.state.mean[:2] - run.truth[last.stamp_ns][:2])
+    assert way < 0.1
+    assert np.linalg.norm(run.truth[last.stamp_ns][:2] - heading[:2]) > 1.0
+
+
+@pytest.mark.parametrize("kind", [CompassYaw, PoseFix, WheelCount])
+@pytest.mark.slow
+def test_what_comes_later_than_history_is_dropped_and_counted(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, kind: type
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    event = pick(arrivals, kind, START_NS + 20 * SECOND_NS)
+    without = feed(make_pipeline(), [a for a in arrivals if a.event is not event])
+    pipeline = make_pipeline()
+    outputs = feed(pipeline, delayed(arrivals, event, 3 * SECOND_NS))
+    same_estimates(outputs, without)
+    status = status_at_end(pipeline, "time")
+    assert value_of(status, "dropped") == "1"
+    reports = [s for o in outputs if o.statuses for s in o.statuses if s.name == "time"]
+    warnings = [s for s in reports if s.level is Level.WARN]
+    assert len(warnings) == 1
+    name = {CompassYaw: "compass", PoseFix: "lrf_pose", WheelCount: "encoders"}[kind]
+    assert warnings[0].message == f"{name} message dropped: later than history"
+    assert value_of(status, "last dropped, delay [s]").startswith("3.0")
+
+
+def test_what_is_stamped_far_ahead_is_dropped_and_counted(make_pipeline: MakePipeline) -> None:
+    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    now = 10 * PERIOD_NS
+    pipeline.add(CompassYaw(now, 0.0), now)
+    pipeline.add(CompassYaw(now + SECOND_NS + 1, 1.0), now)
+    assert time_values(pipeline)["dropped"] == "1"
+    pipeline.add(CompassYaw(now + SECOND_NS, 1.0), now)
+    status = status_at_end(pipeline, "time")
+    assert (value_of(status, "dropped"), status.level) == ("1", Level.OK)
+
+
+def test_a_first_event_that_is_too_old_is_dropped(make_pipeline: MakePipeline) -> None:
+    """A driver that does not stamp sends time 0; filling the time since then takes for ever."""
+    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    outputs = pipeline.add(CompassYaw(1, 0.0), 900 * SECOND_NS)
+    assert min(output.stamp_ns for output in outputs) > 897 * SECOND_NS
+    assert time_values(pipeline)["dropped"] == "1"
+
+
+def test_an_event_before_the_first_period_is_not_called_received(
+    make_pipeline: MakePipeline,
+) -> None:
+    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    now = 20 * PERIOD_NS
+    for wheel in Wheel:
+        pipeline.add(WheelCount(now + 1, wheel, 0), now + 1)
+    pipeline.add(CompassYaw(now - 2_400_000_000, 1.0), now + 2)
+    assert time_values(pipeline)["dropped"] == "1"
+    assert value_of(status_at_end(pipeline, "compass"), "received") == "0"
+
+
+def test_a_measurement_as_old_as_history_is_used_or_counted(make_pipeline: MakePipeline) -> None:
+    pipeline = make_pipeline(period=0.5, history=2.0, initial_pose=[0.0, 0.0, 0.0])
+    outputs: list[Output] = []
+    for number in range(40, 61):
+        stamp = number * SECOND_NS // 4
+        for wheel in Wheel:
+            outputs += pipeline.add(WheelCount(stamp, wheel, 0), stamp)
+    pipeline.add(CompassYaw(outputs[-1].stamp_ns - 2 * SECOND_NS, 1.0), 15 * SECOND_NS)
+    (output,) = pipeline.advance(16 * SECOND_NS)
+    assert output.estimate is not None
+    used = abs(float(output.estimate.state.mean[2])) > 0.1
+    assert used or time_values(pipeline)["dropped"] == "1"
+
+
+@settings(derandomize=True, deadline=None, max_examples=20)
+@given(seed=st.integers(0, 2**32 - 1))
+@pytest.mark.slow
+def test_the_order_of_events_inside_a_period_does_not_matter(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any,
+    seed: int,
+) -> None:  # fmt: skip
+    """Everything stamped inside of a period comes at its end, in any order.
+
+    Only the first count of each wheel comes first: it closes the period before, and tells how
+    the wheels went on from its end.
+    """
+    arrivals = simulated(11, 15.0, "joint_states").arrivals
+    rng = random.Random(seed)
+    first = START_NS + PERIOD_NS  # from the second period on: see below
+    shuffled = [a for a in arrivals if a.event.stamp_ns <= first]
+    for end in range(first + PERIOD_NS, arrivals[-1].now_ns, PERIOD_NS):
+        inside = [a.event for a in arrivals if end - PERIOD_NS < a.event.stamp_ns <= end]
+        counts = [event for event in inside if isinstance(event, WheelCount)]
+        closing = [next(event for event in counts if event.wheel is wheel) for wheel in Wheel]
+        others = [event for event in inside if all(event is not c for c in closing)]
+        rng.shuffle(others)
+        shuffled += [arrival(end, event) for event in [*closing, *others]]
+    source = {"encoder_source": "joint_states"}  # ticks are in order: they are stamped on arrival
+    ordered = feed(make_pipeline(adaptation="r", **source), arrivals)
+    outputs = feed(make_pipeline(adaptation="r", **source), shuffled)
+    assert len(outputs) > 30
+    same_estimates(outputs, ordered[: len(outputs)])
+
+
+def test_the_order_of_the_very_first_counts_does_not_matter(
+    make_pipeline: MakePipeline, same_estimates: Same
+) -> None:
+    ran = []
+    for order in (1, -1):
+        pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0], encoder_source="joint_states")
+        inside = [(3_100_000_000, 0), (3_300_000_000, 100)]
+        for stamp, count in [*inside[::order], (3_500_000_000, 200)]:
+            outputs = []
+            for wheel in Wheel:
+                outputs += pipeline.add(WheelCount(stamp, wheel, count), 3_500_000_000)
+        ran.append(outputs)
+    same_estimates(*ran)
+
+
+def shifted(arrivals: Sequence[Any], by_ns: int) -> list[Any]:
+    return [
+        a._replace(
+            now_ns=a.now_ns + by_ns, event=a.event._replace(stamp_ns=a.event.stamp_ns + by_ns)
+        )
+        for a in arrivals
+    ]
+
+
+@pytest.mark.parametrize("jump_s", [-27, -1500, 1500, 999_999])  # whole periods, as all shifts
+@pytest.mark.slow
+def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, jump_s: int
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    moved = shifted(arrivals, 2001 * SECOND_NS)
+    pipeline = make_pipeline(**WRONG_START)
+    adapted = noise_of(feed(pipeline, moved)[-1])
+    assert np.all(adapted[:3] < 0.7 * np.array([0.16, 0.16, 0.25]))
+
+    again = shifted(moved, (jump_s + (30 if jump_s > 0 else 0)) * SECOND_NS)
+    outputs = feed(pipeline, again)
+    assert outputs[0].estimate is None  # pose and inputs are forgotten: it waits as at the start
+    assert len(outputs) <= len(arrivals)
+    assert {o.stamp_ns % PERIOD_NS for o in outputs} == {0}
+    assert min(o.stamp_ns for o in outputs) > again[0].now_ns - 2_400_000_000
+    first = next(o.estimate for o in outputs if o.estimate is not None)
+    np.testing.assert_array_equal(np.diag(first.state.covariance), adapted[:3])
+    np.testing.assert_array_equal(first.state.measurement_noise, adapted)
+    status = next(s for o in outputs if o.statuses for s in o.statuses if s.name == "time")
+    assert status.level is Level.WARN
+    assert ("back" in status.message) is (jump_s < 0)
+    assert value_of(status, "restarts") == "1"
+
+
+def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.4, 0.4, 0.5])
+    last = feed(pipeline, arrivals)[-1].estimate
+    assert last is not None
+    assert last.state.joint is not None
+    expected = noise_without_alarms(last.state.joint, noise_bounds(pipeline.parameters))
+    outputs = feed(pipeline, shifted(arrivals, 2001 * SECOND_NS))
+    first = next(o.estimate for o in outputs if o.estimate is not None)
+    np.testing.assert_allclose(first.state.process_noise, expected[0], rtol=1e-12)
+    np.testing.assert_allclose(first.state.measurement_noise, expected[1], rtol=1e-12)
+    assert np.all(expected[1][:3] < 0.7 * np.array([0.16, 0.16, 0.25]))
+
+
+def test_a_clock_that_jumps_twice_keeps_the_adapted_noise(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    pipeline = make_pipeline(**WRONG_START)
+    moved = shifted(simulated(11, 30.0).arrivals, 2001 * SECOND_NS)
+    adapted = noise_of(feed(pipeline, moved)[-1])
+    pipeline.advance(1000 * SECOND_NS)
+    pipeline.advance(0)
+    outputs = feed(pipeline, simulated(11, 30.0).arrivals[:400])
+    first = next(o.estimate for o in outputs if o.estimate is not None)
+    np.testing.assert_array_equal(first.state.measurement_noise, adapted)
+
+
+def test_a_clock_that_goes_back_by_less_than_history_is_late_data(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    pipeline = make_pipeline(adaptation="r")
+    half = len(arrivals) // 2
+    now = arrivals[half].now_ns
+    before = feed(pipeline, arrivals[:half])
+    assert pipeline.advance(now - 1_900_000_000) == []
+    after = feed(pipeline, arrivals[half:])
+    reference = feed(make_pipeline(adaptation="r"), arrivals)
+    assert [o.stamp_ns for o in before + after] == [o.stamp_ns for o in reference]
+    assert time_values(pipeline)["restarts"] == "0"
+
+
+def test_a_silence_is_filled_period_by_period(make_pipeline: MakePipeline) -> None:
+    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    pipeline.advance(10 * PERIOD_NS - 1 + 500_000_000)
+    outputs = pipeline.advance(10 * PERIOD_NS + 100 * SECOND_NS)
+    assert [o.stamp_ns for o in outputs] == [
+        n * PERIOD_NS for n in range(10, 10 + (100 * SECOND_NS - 500_000_000) // PERIOD_NS + 1)
+    ]
+
+
+def test_reset_is_a_new_start(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    pipeline = make_pipeline(**WRONG_START)
+    assert noise_of(feed(pipeline, arrivals)[-1])[0] < 0.1
+    pipeline.reset()
+    assert status_at_end(pipeline, "filter").message.startswith("waiting for the first")
+    moved = shifted(arrivals, 30 * SECOND_NS)  # 80 periods
+    same_estimates(feed(pipeline, moved), feed(make_pipeline(**WRONG_START), moved))
+
+
+@pytest.mark.parametrize("adaptation", ["r", "q", "rq"])
+@pytest.mark.slow
+def test_without_learning_from_the_start_it_is_the_plain_filter(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, adaptation: str
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    pipeline = make_pipeline(adaptation=adaptation)
+    pipeline.enable_adaptation(False)
+    plain = feed(make_pipeline(adaptation="none"), arrivals)
+    same_estimates(feed(pipeline, arrivals), plain)
+    learning = feed(make_pipeline(adaptation=adaptation), arrivals)
+    assert learning[-1].estimate is not None
+    assert plain[-1].estimate is not None
+    assert np.any(learning[-1].estimate.state.mean != plain[-1].estimate.state.mean)
+
+
+def test_learning_can_be_held_and_resumed(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any
+) -> None:
+    arrivals = simulated(11, 40.0).arrivals
+    third = len(arrivals) // 3
+    pipeline = make_pipeline(**WRONG_START)
+    before = feed(pipeline, arrivals[:third])
+    pipeline.enable_adaptation(False)
+    held = feed(pipeline, arrivals[third : 2 * third])
+    pipeline.enable_adaptation(True)
+    after = feed(pipeline, arrivals[2 * third :])
+    for output in held:
+        np.testing.assert_array_equal(noise_of(output), noise_of(before[-1]))
+    assert np.any(noise_of(after[-1]) != noise_of(held[-1]))
+
+
+def test_there_is_nothing_to_enable_without_an_adaptation(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    pipeline = make_pipeline(adaptation="none")
+    pipeline.enable_adaptation(True)
+    same_estimates(feed(pipeline, arrivals), feed(make_pipeline(adaptation="none"), arrivals))
+
+
+def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_held(
+    make_pipeline: MakePipeline, feed: Feed, simulated: Any, arrival: Any, same_estimates: Same
+) -> None:
+    arrivals = simulated(11, 30.0).arrivals
+    half = len(arrivals) // 2
+    now = arrivals[half].now_ns
+    event = CompassYaw((now // PERIOD_NS - 3) * PERIOD_NS, 1.0)
+    ran = []
+    for late in (False, True):
+        pipeline = make_pipeline(**WRONG_START)
+        before = [a for a in arrivals[:half] if a.event.stamp_ns != event.stamp_ns]
+        if not late:
+            before.append(arrival(event.stamp_ns, event))
+            before.sort(key=lambda a: a.now_ns)
+        feed(pipeline, before)
+        pipeline.enable_adaptation(False)
+        outputs = feed(pipeline, [arrival(now, event)] if late else [])
+        ran.append([o for o in outputs + feed(pipeline, arrivals[half:]) if o.stamp_ns > now])
+    same_estimates(*ran)
+    np.testing.assert_array_equal(noise_of(ran[0][0]), noise_of(ran[0][-1]))

@@ -1,0 +1,27 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The tables of messages in docs/diagnostics.md."""
+
+import re
+from pathlib import Path
+
+from fnn_ekf_ros.timeline.events import Level
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "diagnostics.md"
+
+
+def message_tables() -> dict[str, dict[str, set[Level]]]:
+    """Return the messages of each status, as the document has them, with their levels."""
+    text = DOCUMENT.read_text(encoding="utf-8")
+    tables: dict[str, dict[str, set[Level]]] = {}
+    for heading, section in re.findall(
+        r"^## (Status(?:es)? .*)\n((?:(?!## ).*\n)*)", text, flags=re.MULTILINE
+    ):
+        rows = re.findall(r"^\| `([^|]+)` \| ([A-Z, ]+) \|", section, flags=re.MULTILINE)
+        for status in re.findall(r"`(\w+)`", heading):
+            tables[status] = {
+                message: {Level[name] for name in levels.split(", ")} for message, levels in rows
+            }
+            assert len(tables[status]) == len(rows), f"{status}: a message is listed twice"
+    return tables
