@@ -221,6 +221,7 @@ def test_tools_help_without_ros(without_ros: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["localizer", "fake_robot", "play"])
+@pytest.mark.slow
 def test_nodes_without_ros_say_so_in_one_line(without_ros: str, name: str) -> None:
     ended = python("", "-m", "fnn_ekf_ros", name, *(["x"] if name == "play" else []),
                    path=without_ros)  # fmt: skip
@@ -247,6 +248,7 @@ def test_the_version_is_that_of_the_manifest_and_in_a_clone_tells_the_commit() -
 
 
 @pytest.mark.parametrize("name", ["localizer", "play"])
+@pytest.mark.slow
 def test_the_version_is_not_looked_up_for_anything_else(name: str) -> None:
     code = (
         "import fnn_ekf_ros.cli as cli\n"

@@ -139,6 +139,7 @@ def test_evaluate_says_that_matplotlib_is_missing_before_it_writes_anything(
     assert "pictures need matplotlib" in refuse("evaluate", recorded, *words)
 
 
+@pytest.mark.slow
 def test_evaluate_draws_what_is_asked_for(
     tmp_path: Path, recorded: Path, succeed: Succeed, refuse: Refuse, monkeypatch: Any
 ) -> None:
@@ -203,6 +204,7 @@ def test_fixes_that_are_asked_for_have_to_be_there(
     )
 
 
+@pytest.mark.slow
 def test_a_recording_without_fixes_has_a_picture(tmp_path: Path, succeed: Succeed) -> None:
     pytest.importorskip("matplotlib")
     claims_of(tmp_path / "bag", [0.1])
@@ -237,6 +239,7 @@ def test_claims_that_make_no_sense_are_no_trouble(
     assert (tmp_path / "p.png").stat().st_size > 10000
 
 
+@pytest.mark.slow
 def test_labels_in_any_script_and_in_none(tmp_path: Path, succeed: Succeed) -> None:
     pytest.importorskip("matplotlib")
     claims_of(tmp_path / "bag", [0.01])

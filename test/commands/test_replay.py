@@ -234,6 +234,7 @@ def after_ten_seconds(recorded: Path, out: Path, *kept: str) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_time_passes_in_a_replay_with_whatever_is_recorded(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
@@ -266,6 +267,7 @@ def test_time_passes_in_a_replay_with_messages_that_hold_nothing(
     assert messages.stamp_ns(last) > end_ns - 900_000_000
 
 
+@pytest.mark.slow
 def test_replay_of_wheels_only_starts_and_then_drifts(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
@@ -302,6 +304,7 @@ def test_replay_of_wheels_only_starts_and_then_drifts(
         (["-p", "frame_id:=elsewhere"], "gives no odom"),
     ],
 )  # fmt: skip
+@pytest.mark.slow
 def test_replay_refuses(
     tmp_path: Path, recorded: Path, refuse: Refuse, words: list[str], expected: str
 ) -> None:
@@ -315,6 +318,7 @@ def test_replay_needs_geometry(tmp_path: Path, recorded: Path, refuse: Refuse) -
 
 
 @pytest.mark.parametrize("topic", ["/left_ticks", "/right_ticks", "/lrf_pose"])
+@pytest.mark.slow
 def test_replay_needs_its_topics(
     tmp_path: Path, recorded: Path, refuse: Refuse, topic: str
 ) -> None:

@@ -52,6 +52,7 @@ def test_replay_remaps_each_of_its_topics(
         (["compass:=no", "lrf_pose:=/no"], "/no would be both compass and lrf_pose"),
     ],
 )
+@pytest.mark.slow
 def test_replay_refuses_two_inputs_of_one_topic(
     tmp_path: Path, recorded: Path, refuse: Refuse, pairs: list[str], line: str
 ) -> None:

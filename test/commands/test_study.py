@@ -234,6 +234,7 @@ def test_a_picture_is_replaced_only_by_a_whole_one(tmp_path: Path) -> None:
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"before"]
 
 
+@pytest.mark.slow
 def test_nothing_half_written_is_left(
     tmp_path: Path,
     succeed: Succeed,

@@ -48,12 +48,14 @@ def test_no_neighbour_of_a_half_turn_leaves_the_interval() -> None:
 
 @PROPERTY
 @given(st.floats(min_value=math.nextafter(-math.pi, 0.0), max_value=math.pi))
+@pytest.mark.slow
 def test_angle_inside_keeps_every_bit(angle: float) -> None:
     assert np.float64(wrap_angle(angle)).tobytes() == np.float64(angle).tobytes()
 
 
 @PROPERTY
 @given(st.floats(min_value=-1e6, max_value=1e6))
+@pytest.mark.slow
 def test_wrapped_angle_is_inside_and_points_the_same_way(angle: float) -> None:
     wrapped = float(wrap_angle(angle))
     assert -math.pi <= wrapped <= math.pi

@@ -111,6 +111,7 @@ def cut(rng: np.random.Generator, epoch: Epoch, parts: int) -> list[Epoch]:
 
 
 @pytest.mark.parametrize("parts", [2, 3, 10])
+@pytest.mark.slow
 def test_cutting_a_period_without_readings_changes_neither_pose_nor_clocks(
     model_of: Callable[..., FilterModel], parts: int
 ) -> None:

@@ -285,6 +285,7 @@ def sample(control: list[float], available: BoolArray, seed: int, heavy: bool) -
 
 
 @pytest.mark.parametrize("heavy", [False, True])
+@pytest.mark.slow
 def test_sampled_scores_at_the_truth_average_to_zero(heavy: bool) -> None:
     score, _ = sample([0.2, 0.05], np.array([True, True, True, False]), seed=83, heavy=heavy)
     standard_error = np.std(score, axis=0) / math.sqrt(len(score))
@@ -313,6 +314,7 @@ def test_information_is_the_scores_covariance_turning_on_the_spot() -> None:
     assert not np.any(sampled.information[[0, 2]])
 
 
+@pytest.mark.slow
 def test_information_is_nearly_the_scores_covariance_driving() -> None:
     """Three rows, four scales; rows are taken for independent, so within a third."""
     sampled = sample([0.2, 0.05], np.array([True, True, True, False]), seed=85, heavy=True)

@@ -93,6 +93,7 @@ def assert_same_results(one: NamedTuple, other: NamedTuple) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.slow
 def test_step_changes_none_of_its_arguments_and_repeats_itself(
     make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation], mode: str
 ) -> None:
@@ -138,6 +139,7 @@ def test_batch_equals_single_filters(
 
 
 @BOTH_MODELS
+@pytest.mark.slow
 def test_without_adaptation_the_run_equals_the_textbook_filter(
     make_model: Callable[..., FilterModel], model: MotionModel
 ) -> None:

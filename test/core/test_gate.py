@@ -114,6 +114,7 @@ def test_thresholds_are_those_of_the_tables() -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.slow
 def test_a_gate_that_rejects_nothing_changes_no_bit(
     model: Callable[..., FilterModel], mode: str
 ) -> None:
@@ -128,6 +129,7 @@ def test_a_gate_that_rejects_nothing_changes_no_bit(
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.slow
 def test_an_open_gate_remembers_nothing(model: Callable[..., FilterModel], mode: str) -> None:
     """Whatever is read; one that rejects fixes only remembers the compass, too."""
     _, periods = drive(1, 40)
@@ -270,6 +272,7 @@ def test_a_carried_robot_is_found_and_the_noise_is_not_poisoned(
         np.testing.assert_array_less(np.abs(np.log(ratio[:3])), math.log(1.6))
 
 
+@pytest.mark.slow
 def test_a_fast_sensor_that_is_wrong_for_a_moment_moves_nothing(
     model: Callable[..., FilterModel],
 ) -> None:
@@ -329,6 +332,7 @@ def test_a_robot_turned_by_hand_is_found_by_the_compass(model: Callable[..., Fil
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
+@pytest.mark.slow
 def test_a_compass_that_lies_while_the_robot_drives_is_not_followed(
     model: Callable[..., FilterModel], mode: str
 ) -> None:
@@ -382,6 +386,7 @@ def test_half_of_the_fixes_wild_in_all_directions(
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
+@pytest.mark.slow
 def test_each_robot_of_a_batch_has_a_gate_of_its_own(
     model: Callable[..., FilterModel], mode: str
 ) -> None:

@@ -115,6 +115,7 @@ def holding(model: FilterModel) -> FilterModel:
     return dataclasses.replace(model, adaptation=adaptation)
 
 
+@pytest.mark.slow
 def test_disabled_from_the_start_it_is_the_plain_filter_bit_for_bit(
     make_model: MakeModel, holding: FilterModel
 ) -> None:
@@ -389,6 +390,7 @@ def test_turning_on_the_spot_equals_scalar_filters(model: FilterModel) -> None:
     assert checked > 60
 
 
+@pytest.mark.slow
 def test_noise_in_use_is_the_start_times_the_weighted_scales(model: FilterModel) -> None:
     """Right noise, wheels that slide, loud fixes for long: every hypothesis has its time."""
     rng, truth = np.random.default_rng(95), np.zeros(3)

@@ -89,6 +89,7 @@ def test_arc_equals_many_small_straight_steps(turn: float) -> None:
 
 @PROPERTY
 @given(HEADING, WAY, st.floats(min_value=0.05, max_value=6.0), st.booleans())
+@pytest.mark.slow
 def test_arc_equals_its_radius_form(heading: float, way: float, turn: float, right: bool) -> None:
     turn = -turn if right else turn
     radius = way / turn
@@ -100,6 +101,7 @@ def test_arc_equals_its_radius_form(heading: float, way: float, turn: float, rig
 
 @PROPERTY
 @given(HEADING, WAY, TURN, st.floats(min_value=0.0, max_value=1.0))
+@pytest.mark.slow
 def test_arc_in_two_pieces_is_the_arc(heading: float, way: float, turn: float, part: float) -> None:
     whole = moved(MotionModel.EXACT_ARC, [1.0, 2.0, heading], [way, turn])
     first = moved(MotionModel.EXACT_ARC, [1.0, 2.0, heading], [part * way, part * turn])
@@ -110,6 +112,7 @@ def test_arc_in_two_pieces_is_the_arc(heading: float, way: float, turn: float, p
 
 @PROPERTY
 @given(POSITION, POSITION, HEADING, WAY, TURN)
+@pytest.mark.slow
 def test_paper_model_is_equation_4(
     x: float, y: float, heading: float, way: float, turn: float
 ) -> None:
@@ -221,6 +224,7 @@ def test_paper_model_is_off_by_6_mm_in_an_ordinary_turn() -> None:
 @BOTH_MODELS
 @PROPERTY
 @given(POSITION, POSITION, HEADING, WAY, TURN)
+@pytest.mark.slow
 def test_displacement_is_what_move_adds(
     model: MotionModel, x: float, y: float, heading: float, way: float, turn: float
 ) -> None:

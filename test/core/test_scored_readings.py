@@ -68,6 +68,7 @@ def test_every_fix_is_scored_and_is_a_step(fix_s: float, offset_s: float) -> Non
 
 @pytest.mark.parametrize("fix_s", [0.1, 0.15, 0.2, 0.25, 0.375])
 @pytest.mark.parametrize("offset_s", [0.0, 0.007])
+@pytest.mark.slow
 def test_a_fast_compass_is_scored_once_after_each_fix(fix_s: float, offset_s: float) -> None:
     """With the fix, or next after it, which is no step of its own."""
     fixes = times(fix_s, fix_s + offset_s)
@@ -164,6 +165,7 @@ def lessons(model: FilterModel, plan: Drive) -> tuple[int, int, int]:
 
 
 @pytest.mark.parametrize("fix_s", [0.375, 0.1])
+@pytest.mark.slow
 def test_a_fast_compass_teaches_as_often_as_one_as_slow_as_the_fixes(
     model_of: Callable[..., FilterModel], fix_s: float
 ) -> None:

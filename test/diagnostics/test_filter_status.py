@@ -166,6 +166,7 @@ def test_who_is_suspected_never_touches_the_estimates(
     same_estimates(watched, unwatched)
 
 
+@pytest.mark.slow
 def test_late_measurements_are_judged_as_if_they_had_come_in_time(
     make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
 ) -> None:

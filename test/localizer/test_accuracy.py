@@ -84,6 +84,7 @@ def test_every_odom_of_a_run_is_near_the_truth(
 
 
 @pytest.mark.parametrize("motion_model", ["exact_arc", "paper"])
+@pytest.mark.slow
 def test_covariances_stay_positive_definite_and_symmetric(
     errors: Callable[..., Errors], motion_model: str
 ) -> None:

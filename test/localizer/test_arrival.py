@@ -142,6 +142,7 @@ def test_reordered_messages_count_in_their_order_once_all_are_there(
     assert int(time_values(pipeline)["out of order"]) > 100
 
 
+@pytest.mark.slow
 def test_of_equal_stamps_it_does_not_matter_which_comes_first(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
 ) -> None:

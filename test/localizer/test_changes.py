@@ -85,6 +85,7 @@ def test_new_bounds_hold_from_the_next_period_on(
     assert np.all(np.sqrt(after[:, :2]) <= 0.0105 * (1.0 + 1e-12))
 
 
+@pytest.mark.slow
 def test_late_inputs_run_the_periods_before_a_change_as_they_were(
     make_pipeline: Callable[..., Localizer],
     make_parameters: Callable[..., LocalizerParameters],

@@ -78,6 +78,7 @@ def test_a_clock_that_is_set_back_does_not_lose_the_robot(
     assert np.all(np.isfinite(last.state.covariance))
 
 
+@pytest.mark.slow
 def test_simulated_time_may_begin_at_0(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
 ) -> None:
@@ -98,6 +99,7 @@ def test_simulated_time_may_begin_at_0(
 
 
 @pytest.mark.parametrize(("ahead_s", "kept"), [(0.9, True), (1.1, False)])
+@pytest.mark.slow
 def test_a_position_from_the_future_does_not_close_what_is_open(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any,
     ahead_s: float, kept: bool,

@@ -359,6 +359,7 @@ def test_a_fast_sensor_is_not_thinned(
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
+@pytest.mark.slow
 def test_a_burst_of_a_very_fast_compass_is_bounded_work(
     pipeline: MakePipeline, feed: Feed, arrival: Any, monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
@@ -453,6 +454,7 @@ def test_joint_adaptation_hardly_depends_on_the_period(shared: Any, period: floa
         np.testing.assert_allclose(measurement, R, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_short_periods_mean_no_more_learning(
     pipeline: MakePipeline, feed: Feed, arrival: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -478,6 +480,7 @@ def test_short_periods_mean_no_more_learning(
 
 
 @pytest.mark.parametrize(("period", "mode"), [(0.1, "none"), (0.375, "rq"), (0.375, "joint")])
+@pytest.mark.slow
 def test_readings_that_come_late_and_in_any_order_count_as_if_they_had_come_in_time(
     pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same, period: float, mode: str
 ) -> None:

@@ -129,6 +129,7 @@ def test_a_filter_that_fails_on_the_wheels_alone_starts_anew_with_its_noise(
     assert status_at_end(pipeline, "filter").level is Level.OK
 
 
+@pytest.mark.slow
 def test_a_state_that_is_no_longer_finite_is_not_gone_on_with(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -305,6 +305,7 @@ def test_every_measurement_in_a_period_counts_at_its_own_time(
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4, -1.2])
+@pytest.mark.slow
 def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(
     make_pipeline: MakePipeline, feed: Feed, arrival: Any, rate: float
 ) -> None:

@@ -68,6 +68,7 @@ def test_numbers_survive_to_the_last_bit(
     assert found.in_words(Path("x")) == []
 
 
+@pytest.mark.slow
 def test_a_file_that_breaks_off_anywhere_is_refused(
     parameters: LocalizerParameters, state: SavedState
 ) -> None:

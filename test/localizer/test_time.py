@@ -95,6 +95,7 @@ def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_
     )
 
 
+@pytest.mark.slow
 def test_a_late_pose_reset_counts_at_its_stamp(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any
 ) -> None:
@@ -356,6 +357,7 @@ def test_a_silence_is_filled_period_by_period(make_pipeline: MakePipeline) -> No
     ]
 
 
+@pytest.mark.slow
 def test_reset_is_a_new_start(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
 ) -> None:
@@ -384,6 +386,7 @@ def test_without_learning_from_the_start_it_is_the_plain_filter(
     assert np.any(learning[-1].estimate.state.mean != plain[-1].estimate.state.mean)
 
 
+@pytest.mark.slow
 def test_learning_can_be_held_and_resumed(
     make_pipeline: MakePipeline, feed: Feed, simulated: Any
 ) -> None:

@@ -143,6 +143,7 @@ def test_a_reset_controller_starts_a_new_base(
 
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("size", [-9000, 5000, 2**30])
+@pytest.mark.slow
 def test_a_glitch_costs_no_way(
     make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, size: int
 ) -> None:
@@ -207,6 +208,7 @@ def after_silence(arrivals: Sequence[Any], silent_ns: int) -> list[Any]:
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("way", [12.0, -3.0])
 @pytest.mark.parametrize("drives_on", [False, True])
+@pytest.mark.slow
 def test_a_controller_that_restarts_after_a_silence_is_no_motion(
     make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, way: float, drives_on: bool
 ) -> None:
@@ -267,6 +269,7 @@ def test_a_reading_of_0_that_is_a_glitch_after_a_silence_costs_no_way() -> None:
 
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_stamps_that_jitter_by_a_drivers_cycle_are_no_jumps(
     make_pipeline: MakePipeline, feed: Feed, arrival: Any, seed: int
 ) -> None:

@@ -201,6 +201,7 @@ def test_what_is_published_with_an_estimate_is_what_is_announced(estimates: list
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
+@pytest.mark.slow
 def test_noise_numbers_tell_what_the_gate_did(
     make_pipeline: Any, feed: Any, simulated: Any, arrival: Any, as_object: Any, mode: str
 ) -> None:

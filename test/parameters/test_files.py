@@ -169,6 +169,7 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
     radius=numbers(1e-3, 10.0), bits=st.integers(8, 32), truth=st.booleans(),
     frame=WORDS, pose=st.tuples(*[numbers(-1e6, 1e6)] * 3),
 )  # fmt: skip
+@pytest.mark.slow
 def test_written_read_and_built_it_is_the_same(
     tmp_path_factory: pytest.TempPathFactory, radius: float, bits: int, truth: bool, frame: str,
     pose: tuple[float, float, float],

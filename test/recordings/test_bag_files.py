@@ -267,6 +267,7 @@ def test_a_bag_without_its_file_is_refused_in_one_line(tmp_path: Path, storage: 
 
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
+@pytest.mark.slow
 def test_truncated_bags_are_refused_in_one_line(tmp_path: Path, storage: str, part: float) -> None:
     write_bag(tmp_path / "bag", storage)
     file = next(p for p in (tmp_path / "bag").iterdir() if p.suffix in (".mcap", ".db3"))
@@ -300,6 +301,7 @@ def test_damaged_bags_raise_nothing_but_bag_errors(tmp_path: Path, storage: str)
     assert refused > 0
 
 
+@pytest.mark.slow
 def test_damaged_messages_are_refused_in_one_line(tmp_path: Path, storage: str) -> None:
     for cut in (0, 3, 4, 20, 100):
         path = tmp_path / f"bag{cut}"

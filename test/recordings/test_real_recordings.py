@@ -57,6 +57,7 @@ def test_mrclam_with_noise_found_by_hand(tmp_path: Path, succeed: Succeed) -> No
 
 
 @needs_data
+@pytest.mark.slow
 def test_brenner_with_positions_for_truth(tmp_path: Path, succeed: Succeed) -> None:
     bag = imported(
         succeed, tmp_path, "brenner_robot4", "--truth-columns", "gt_x_aligned", "gt_y_aligned"

@@ -160,6 +160,7 @@ def test_there_is_no_band_where_a_claim_is_far_from_the_errors() -> None:
     assert np.max(np.abs(band_polygons(claims))) < 6.0
 
 
+@pytest.mark.slow
 def test_errors_of_extreme_size_have_short_labels(tmp_path: Path) -> None:
     far = square_drive(9e7)
     figure = draw_tracks({"hero": run(far)}, "hero")
@@ -204,6 +205,7 @@ def test_names_that_are_no_text_and_have_no_glyphs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e6])
+@pytest.mark.slow
 def test_numbers_on_the_axes_are_plain(size: float) -> None:
     truth = square_drive()
     scaled = [

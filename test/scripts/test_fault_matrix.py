@@ -231,6 +231,7 @@ def spoiled(entries: list[Any], how: str) -> list[Any]:
         ("no odom", "there is no odom"),
     ],
 )
+@pytest.mark.slow
 def test_a_recording_that_is_not_the_whole_run_is_refused(
     tmp_path: Path, how: str, expected: str
 ) -> None:

@@ -216,6 +216,7 @@ class Deadly:
     ("row", "expected"),
     [(None, "AttributeError: 'NoneType'"), (Deadly(), "its process ended with 3")],
 )
+@pytest.mark.slow
 def test_a_process_that_breaks_down_is_one_row_that_did_not_run(row: Any, expected: str) -> None:
     reason = fault_matrix.in_a_process(fault_matrix.Processes(), row, 1, 1.0, CODE)
     assert expected in reason
@@ -234,6 +235,7 @@ def test_no_process_outlives_an_interrupt_nor_is_started_after_it() -> None:
     assert second.pid is None
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_writes_nothing_and_can_go_on(
     matrix: Matrix, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -159,6 +159,7 @@ def test_a_wrong_unit_multiplies() -> None:
 
 @pytest.mark.parametrize("size", [0.5, -0.25])
 @pytest.mark.parametrize("topic", ["lrf_pose", "compass", "joint_states"])
+@pytest.mark.slow
 def test_a_wrong_stamp_is_off_by_its_size(topic: str, size: float) -> None:
     wrong, true = faulty_and_true(WrongStamp(topic=topic, size=size, **LASTING))
     assert [e.time for e in wrong] == [e.time for e in true]
@@ -206,6 +207,7 @@ def test_what_is_dropped_does_not_come(topic: str) -> None:
 
 
 @pytest.mark.parametrize("topic", ["lrf_pose", "compass", "left_ticks"])
+@pytest.mark.slow
 def test_what_is_delayed_is_sent_later_and_stamped_as_ever(topic: str) -> None:
     """0.31 s are rounded up to whole steps of 12.5 ms."""
     without, with_it = drive(9.0), drive(9.0, [Delay(topic=topic, size=0.31, **LASTING)])

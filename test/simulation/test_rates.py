@@ -92,6 +92,7 @@ def rounded(field: Any) -> Any:
 # What is sent.
 
 
+@pytest.mark.slow
 def test_the_default_rates_send_what_they_always_have(tmp_path: Path) -> None:
     """Hashes from before the rates were parameters."""
     assert digest(drive(10.0)) == "7d832e481269fc13"
@@ -137,6 +138,7 @@ def test_encoders_are_read_at_the_first_step_at_or_after_their_time(rate: float)
         assert entry.stamp_ns == entry.time_ns
 
 
+@pytest.mark.slow
 def test_ground_truth_and_the_other_topics_keep_their_rates() -> None:
     one, other = drive(10.0), drive(10.0, encoder_rate=50.0)
     for topic in ("ground_truth", "compass", "lrf_pose"):
@@ -266,6 +268,7 @@ def test_messages_are_held_lost_delayed_and_swapped_at_other_rates(topic: str) -
     assert [(e.time_ns, e.stamp_ns) for e in on(frozen, topic)] == true
 
 
+@pytest.mark.slow
 def test_slow_sensors_suffer_too() -> None:
     slow = {"compass_rate": 0.1, "lrf_rate": 0.5, "encoder_rate": 1.0}
     delay = Delay(topic="lrf_pose", start=0.0, size=0.7)

@@ -76,6 +76,7 @@ def test_a_flat_tyre_is_told_by_its_wheel_and_its_size() -> None:
     assert min(sizes) < -5.0
 
 
+@pytest.mark.slow
 def test_a_robot_without_faults_is_well() -> None:
     quiet = quiet_run(setting(5), 60.0)
     assert 50 <= quiet.reports <= 60

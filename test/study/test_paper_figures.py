@@ -79,6 +79,7 @@ def test_the_starts_are_those_that_the_figures_compare() -> None:
     assert (Cell(1.0, 1.0), Cell(1.0, 25.0), Cell(1.0 / 25.0, 25.0)) == paper.STARTS
 
 
+@pytest.mark.slow
 def test_each_figure_of_the_paper_that_is_no_block_diagram_is_there(figures: Any) -> None:
     numbers = [*range(3, 15), *range(17, 21)]
     assert list(figures) == [*map(str, numbers), "sim1", "sim2", "round"]

@@ -123,6 +123,7 @@ def test_every_start_is_what_the_localizer_does_with_that_noise(
 
 
 @pytest.mark.parametrize("name", ["joint", "r_published"])
+@pytest.mark.slow
 def test_covariances_that_the_fixes_bring_count_k_times(
     name: str, make_parameters: Make, arrivals: Any, feed: Feed
 ) -> None:
@@ -146,6 +147,7 @@ def test_covariances_that_the_fixes_bring_count_k_times(
         assert_row(run, index, stamps, estimates)
 
 
+@pytest.mark.slow
 def test_poses_that_were_set_from_outside(
     make_parameters: Make, arrivals: Any, feed: Feed, arrival: Any
 ) -> None:
@@ -224,6 +226,7 @@ def test_scores() -> None:
     assert np.all(np.isnan(without_yaw.median_nees))
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path, succeed: Succeed, recorded: Path) -> None:
     out = tmp_path / "new" / "out"
     said = succeed("study", "real", recorded, "--out", out, "--filters", "joint, r_published")
@@ -356,6 +359,7 @@ def test_the_folder_of_a_bag_from_inside(
 
 
 @needs_data
+@pytest.mark.slow
 def test_joint_is_near_the_best_fixed_filter_from_every_start_on_brenner(
     tmp_path: Path, succeed: Succeed
 ) -> None:

@@ -248,6 +248,7 @@ def test_masked_rows_are_as_if_they_were_not_there(rival: Rival) -> None:
 
 @only("iae", "sage-husa", "vb")
 @pytest.mark.parametrize("row", [X, COMPASS, LRF_YAW])
+@pytest.mark.slow
 def test_a_row_that_was_never_measured_keeps_its_r(rival: Rival, row: int) -> None:
     others = np.arange(4) != row
     # All rows but one for 120 steps, then a step without any, then the one alone.

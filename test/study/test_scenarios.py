@@ -83,6 +83,7 @@ def test_shapes_and_rows() -> None:
     assert np.all(np.abs(recording.measurement[..., Row.COMPASS_YAW :]) <= math.pi)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_recording() -> None:
     one, same, other = recorded(seed=1), recorded(seed=1), recorded(seed=2)
     for a, b in zip(one, same, strict=True):
@@ -97,6 +98,7 @@ def test_runs_differ() -> None:
     assert np.ptp(truth[0], axis=0).tolist() == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_sensors_draw_from_a_stream_of_their_own() -> None:
     one, other = recorded(), recorded(Scenario(measurement_scale=25.0, outlier_share=0.1))
     np.testing.assert_array_equal(one.truth, other.truth)
@@ -111,6 +113,7 @@ def test_a_longer_recording_begins_as_the_shorter_one() -> None:
 
 
 @pytest.mark.parametrize("path", ["sim1", "sim2", "round"])
+@pytest.mark.slow
 def test_slip_is_all_that_the_encoders_miss(path: str) -> None:
     robot = FakeRobotParameters(path=path)
     recording = record(robot, NOMINAL, STEPS, RUNS, np.random.default_rng(2))
@@ -222,6 +225,7 @@ def test_noisy_sensors_in_the_event() -> None:
     np.testing.assert_allclose(said, np.where(inside, 25.0, 1.0)[:, None] * np.ones(4))
 
 
+@pytest.mark.slow
 def test_compass_bias_in_the_event() -> None:
     plain, biased = recorded(), recorded(Scenario(compass_bias=0.1))
     change = wrap_angle(biased.measurement - plain.measurement)
@@ -231,6 +235,7 @@ def test_compass_bias_in_the_event() -> None:
 
 
 @pytest.mark.parametrize("lost", [(Row.X, Row.Y), (Row.COMPASS_YAW,)])
+@pytest.mark.slow
 def test_lost_rows_in_the_event(lost: tuple[Row, ...]) -> None:
     available = recorded(Scenario(lost=lost)).available
     for row in (Row.X, Row.Y, Row.COMPASS_YAW):
@@ -239,6 +244,7 @@ def test_lost_rows_in_the_event(lost: tuple[Row, ...]) -> None:
         assert available[EVENT.stop :, :, row].all()
 
 
+@pytest.mark.slow
 def test_unequal_wheels() -> None:
     """The larger wheel rolls as far with fewer counts: left seems 1 % shorter, right longer."""
     plain, unequal = recorded(), recorded(Scenario(wheel_inequality=0.02))

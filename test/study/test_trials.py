@@ -317,6 +317,7 @@ def test_ranges() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_the_studies_try(filters: dict[str, StudyFilter]) -> None:
     def made(plans: list[TrialPlan]) -> list[Trial]:
         return [make_trial(*plan, filters["oracle"]) for plan in plans]

@@ -61,6 +61,7 @@ def test_processes_use_one_thread_and_leave_ctrl_c_to_the_command() -> None:
     assert (signal.getsignal(signal.SIGINT), os.environ.get("OPENBLAS_NUM_THREADS")) == before
 
 
+@pytest.mark.slow
 def test_a_study_comes_out_the_same_with_any_number_of_processes(
     tmp_path: Path, succeed: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,7 @@ def test_a_step_of_the_five_layers_is_downhill_by_every_parameter() -> None:
     assert np.all(np.abs(slope) > 1e-4)  # not one parameter stands still
 
 
+@pytest.mark.slow
 def test_descent_finds_the_function_of_a_known_network() -> None:
     D = np.linspace(-5.0, 5.0, 101)
     wanted = infer(KNOWN, D).change
@@ -179,6 +180,7 @@ def seen() -> Observations:
     return observe(record(robot, NOMINAL, 120, 60, rng), 45, rng)
 
 
+@pytest.mark.slow
 def test_half_of_the_filters_are_right_and_the_others_wrong_both_ways(seen: Observations) -> None:
     R = np.square(MEASUREMENT_STD)
     assert seen.mismatch.shape == seen.wanted_change.shape == ((120 - 14) * 60, 3)
