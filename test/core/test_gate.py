@@ -16,7 +16,14 @@ from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.chi_square import exceeded_with, upper_tail
 from fnn_ekf_ros.core.filter import step
-from fnn_ekf_ros.core.gate import OPEN_GATE, gate_for, start_gate
+from fnn_ekf_ros.core.gate import (
+    OPEN_GATE,
+    GateDecision,
+    GateState,
+    after_decision,
+    gate_for,
+    start_gate,
+)
 from fnn_ekf_ros.core.joint_filters import SETTLED
 from fnn_ekf_ros.core.joint_state import JointState
 from fnn_ekf_ros.core.motion import MotionModel, displacement
@@ -415,3 +422,16 @@ def test_each_robot_of_a_batch_has_a_gate_of_its_own(
             np.testing.assert_allclose(
                 one.measurement_noise[:, i], other.measurement_noise, rtol=1e-9
             )
+
+
+def test_a_sensor_that_is_not_read_keeps_what_the_gate_remembers_of_it() -> None:
+    state = GateState(np.array([3.0, 5.0]), np.array([2.0, 4.0]), np.array([0.2, 0.4]))
+    nothing = GateDecision(np.zeros(2), np.zeros(2), np.zeros(2, dtype=np.bool_))
+    only_fix = nothing._replace(nis=np.array([0.0, 2.0]), degrees_of_freedom=np.array([0.0, 2.0]))
+    agrees, elapsed = np.zeros(2, dtype=np.bool_), np.ones(2)
+    for decision, kept in ((nothing, [COMPASS, LRF_POSE]), (only_fix, [COMPASS])):
+        after = after_decision(state, decision, agrees, elapsed, learns=False)
+        for before, now in zip(state, after, strict=True):
+            np.testing.assert_array_equal(now[kept], before[kept])
+    assert after.spread[LRF_POSE] < state.spread[LRF_POSE]
+    assert after.rejections[LRF_POSE] == 0.0
