@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How far both wheels have gone, and the motion of the robot that this means."""
+"""Distances that both wheels have rolled [m], and the motion of the robot that follows from them."""
 
 from typing import NamedTuple
 

@@ -34,7 +34,7 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How far an estimate was off.
+    """Errors of an estimated trajectory against the truth.
 
     Attributes:
         count: number of poses compared.

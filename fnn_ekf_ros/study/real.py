@@ -97,7 +97,7 @@ class Run(NamedTuple):
 
 
 class RealScore(NamedTuple):
-    """How far a filter was off from every start; infinite where it left the numbers.
+    """Errors of a filter from every start; infinite where its numbers were not finite.
 
     Attributes:
         rmse: `(n, 3)` root mean square error (m, m, rad); NaN yaw if truth has none.
