@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Distances that both wheels have rolled [m], and the motion of the robot that follows from them."""
+"""Distances that both wheels have rolled [m], and the robot's motion that follows from them."""
 
 from typing import NamedTuple
 
