@@ -16,7 +16,6 @@ cannot correct a wrong Q.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -29,16 +28,17 @@ from fnn_ekf_ros.core.arrays import (
     diagonal_of,
     transpose,
 )
-from fnn_ekf_ros.core.bank import Noise, Readings, correct, innovate, wrapped
+from fnn_ekf_ros.core.bank import Noise
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.results import Epoch
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
-from fnn_ekf_ros.study.recording import Estimates, Recording, Start
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate
 from fnn_ekf_ros.study.rivals.shared import (
+    Rival,
+    ekf_step,
+    estimate_of,
     matmul,
     one_filter,
     period_scale,
-    predict,
     row_variances,
     shows_wheel_noise,
     wheel_noise,
@@ -72,6 +72,11 @@ class InnovationBasedSettings:
         if not 0.0 < self.smallest_share <= 1.0:
             raise ValueError(f"smallest_share is over 0 and at most 1, not {self.smallest_share}")
 
+    @property
+    def numbers(self) -> int:
+        """Number of floating-point numbers that the filter keeps of a robot."""
+        return NUMBERS_OF_A_FILTER + MEASUREMENT_SIZE * self.window_length
+
 
 class _Window(NamedTuple):
     """Each row's own last N innovations.
@@ -85,24 +90,6 @@ class _Window(NamedTuple):
     counts: FloatArray
 
 
-def run(
-    motion_model: MotionModel,
-    recording: Recording,
-    start: Start,
-    settings: InnovationBasedSettings,
-) -> Estimates:
-    """Run the IAE filter over a recording.
-
-    Args:
-        motion_model: f(x, u).
-        recording: what the sensors measured.
-        start: pose and noise to start from.
-        settings: the window and the floor of R.
-    """
-    numbers = NUMBERS_OF_A_FILTER + MEASUREMENT_SIZE * settings.window_length
-    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
-
-
 def _filter(
     motion_model: MotionModel,
     settings: InnovationBasedSettings,
@@ -114,14 +101,12 @@ def _filter(
     scale = period_scale(start)
     window = _Window(np.zeros((settings.window_length, *R.shape)), np.zeros(R.shape))
     for epoch in epochs:
-        predicted = predict(motion_model, bank, epoch.control, Q * scale)
-        seen = innovate(predicted.bank, Readings(epoch.measurement, epoch.available), R)
-        corrected = correct(predicted.bank, seen, Noise(Q, R), epoch.available)
-        bank = wrapped(corrected.bank)
-        yield StepEstimate(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
+        predicted, innovation, available, bank, nis = ekf_step(
+            motion_model, bank, Noise(Q, R), scale, epoch
+        )
+        yield estimate_of(bank, nis)
 
-        available = epoch.available[:, None]
-        window = _push(window, seen.innovation, available)
+        window = _push(window, innovation, available)
         C = _innovation_covariance(window)
         teaches = available & (window.counts >= settings.first_use)
         K = _gain(bank.covariance, R, available)  # this step's, before R changes
@@ -134,6 +119,10 @@ def _filter(
             settings.smallest_share * variance,
         )
         R = np.where(teaches, within_limits(sample), R)
+
+
+run = Rival(_filter)
+"""The IAE filter, for any recording and start."""
 
 
 def _push(window: _Window, innovation: FloatArray, available: BoolArray) -> _Window:

@@ -21,7 +21,6 @@ long to come back. A floor under the weights shortens that (Maybeck 1982, sectio
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -38,9 +37,15 @@ from fnn_ekf_ros.core.bank import (
 )
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.results import Epoch
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
-from fnn_ekf_ros.study.recording import Estimates, Recording, Start
-from fnn_ekf_ros.study.rivals.shared import one_filter, outer, period_scale, pose_difference
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate
+from fnn_ekf_ros.study.rivals.shared import (
+    Rival,
+    estimate_of,
+    one_filter,
+    outer,
+    period_scale,
+    pose_difference,
+)
 
 NINE_SCALES = tuple(5.0 ** (half / 2.0) for half in range(-4, 5))
 """Factors on a variance, 1/25 to 25, evenly spaced in the logarithm."""
@@ -71,27 +76,10 @@ class MultipleModelSettings:
         if not 0.0 <= self.smallest_weight * count < 1.0:
             raise ValueError(f"{count} filters cannot each weigh {self.smallest_weight} or more")
 
-
-def run(
-    motion_model: MotionModel,
-    recording: Recording,
-    start: Start,
-    settings: MultipleModelSettings,
-) -> Estimates:
-    """Run the bank over a recording.
-
-    Args:
-        motion_model: f(x, u).
-        recording: what the sensors measured.
-        start: pose and noise to start from; the bank's scales are relative to its noise.
-        settings: the bank.
-
-    Returns:
-        The estimates of the mixture; their `nis` is that of the mixture's prediction.
-    """
-    filters = len(settings.process_scales) * len(settings.measurement_scales)
-    numbers = NUMBERS_OF_A_FILTER * filters
-    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+    @property
+    def numbers(self) -> int:
+        """Number of floating-point numbers that the filter keeps of a robot."""
+        return NUMBERS_OF_A_FILTER * len(self.process_scales) * len(self.measurement_scales)
 
 
 def _filter(
@@ -127,8 +115,12 @@ def _filter(
         likelihood = log_density(corrected.nis, corrected.determinant, rows)
         log_weight = _normalized(log_weight + likelihood, settings.smallest_weight)
         bank = wrapped(corrected.bank)
-        estimate = mixture(np.exp(log_weight), bank)
-        yield StepEstimate(estimate.mean[:, 0], estimate.covariance[:, :, 0], nis[0])
+        yield estimate_of(mixture(np.exp(log_weight), bank), nis)
+
+
+run = Rival(_filter)
+"""The bank, for any recording and start; its scales are relative to the start's noise. The NIS is
+that of the mixture's prediction."""
 
 
 def log_density(nis: FloatArray, determinant: FloatArray, rows: FloatArray) -> FloatArray:

@@ -21,22 +21,22 @@ not be the true one: that is the method's nature.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.core.bank import Noise, Readings, correct, innovate, wrapped
+from fnn_ekf_ros.core.bank import Noise
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.results import Epoch
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
-from fnn_ekf_ros.study.recording import Estimates, Recording, Start
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate
 from fnn_ekf_ros.study.rivals.shared import (
+    Rival,
+    ekf_step,
+    estimate_of,
     one_filter,
     outer,
     period_scale,
     pose_difference,
-    predict,
     row_values,
     row_variances,
     shows_wheel_noise,
@@ -61,20 +61,10 @@ class SageHusaSettings:
         if not 0.0 < self.fading < 1.0:
             raise ValueError(f"fading is over 0 and under 1, not {self.fading}")
 
-
-def run(
-    motion_model: MotionModel, recording: Recording, start: Start, settings: SageHusaSettings
-) -> Estimates:
-    """Run the Sage-Husa filter over a recording.
-
-    Args:
-        motion_model: f(x, u).
-        recording: what the sensors measured.
-        start: pose and noise to start from.
-        settings: how fast the averages fade.
-    """
-    numbers = NUMBERS_OF_A_FILTER
-    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+    @property
+    def numbers(self) -> int:
+        """Number of floating-point numbers that the filter keeps of a robot."""
+        return NUMBERS_OF_A_FILTER
 
 
 def _filter(
@@ -88,15 +78,13 @@ def _filter(
     scale = period_scale(start)
     Q_count, R_count = np.zeros(Q.shape), np.zeros(R.shape)
     for epoch in epochs:
-        predicted = predict(motion_model, bank, epoch.control, Q * scale)
-        seen = innovate(predicted.bank, Readings(epoch.measurement, epoch.available), R)
-        corrected = correct(predicted.bank, seen, Noise(Q, R), epoch.available)
-        bank = wrapped(corrected.bank)
-        yield StepEstimate(bank.mean[:, 0], bank.covariance[:, :, 0], corrected.nis[0])
+        predicted, innovation, available, bank, nis = ekf_step(
+            motion_model, bank, Noise(Q, R), scale, epoch
+        )
+        yield estimate_of(bank, nis)
 
-        available = epoch.available[:, None]
         Kr = pose_difference(bank.mean, predicted.bank.mean)
-        e = seen.innovation - row_values(Kr)
+        e = innovation - row_values(Kr)
         R_count = R_count + available
         d = np.where(available, _share(settings.fading, R_count), 0.0)
         R = within_limits((1.0 - d) * R + d * (e * e + row_variances(bank.covariance)))
@@ -105,6 +93,10 @@ def _filter(
         d = np.where(shown, _share(settings.fading, Q_count), 0.0)
         sample = wheel_noise(predicted.motion, outer(Kr)) / scale
         Q = within_limits((1.0 - d) * Q + d * sample)
+
+
+run = Rival(_filter)
+"""The Sage-Husa filter, for any recording and start."""
 
 
 def _share(fading: float, count: FloatArray) -> FloatArray:

@@ -18,7 +18,6 @@ estimates R only. Its linear prediction is the extended Kalman filter's here.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -36,9 +35,10 @@ from fnn_ekf_ros.core.bank import (
 )
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.results import Epoch
-from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate, run_in_blocks
-from fnn_ekf_ros.study.recording import Estimates, Recording, Start
+from fnn_ekf_ros.study.blocks import NUMBERS_OF_A_FILTER, BlockStart, StepEstimate
 from fnn_ekf_ros.study.rivals.shared import (
+    Rival,
+    estimate_of,
     one_filter,
     period_scale,
     pose_difference,
@@ -71,26 +71,10 @@ class VariationalBayesSettings:
         if not self.start_confidence > 0.0:
             raise ValueError(f"start_confidence is over 0, not {self.start_confidence}")
 
-
-def run(
-    motion_model: MotionModel,
-    recording: Recording,
-    start: Start,
-    settings: VariationalBayesSettings,
-) -> Estimates:
-    """Run the VB-AKF over a recording.
-
-    Args:
-        motion_model: f(x, u).
-        recording: what the sensors measured.
-        start: pose and noise to start from; Q stays.
-        settings: how much is remembered.
-
-    Returns:
-        The estimates; their `nis` is with R as it was before the step's own innovation.
-    """
-    numbers = NUMBERS_OF_A_FILTER
-    return run_in_blocks(recording, start, partial(_filter, motion_model, settings), numbers)
+    @property
+    def numbers(self) -> int:
+        """Number of floating-point numbers that the filter keeps of a robot."""
+        return NUMBERS_OF_A_FILTER
 
 
 def _filter(
@@ -117,7 +101,12 @@ def _filter(
             predicted, seen, Q, available, alpha, forgetting * beta, settings.iterations
         )
         bank = wrapped(corrected.bank)
-        yield StepEstimate(bank.mean[:, 0], bank.covariance[:, :, 0], before.nis[0])
+        yield estimate_of(bank, before.nis)
+
+
+run = Rival(_filter)
+"""The VB-AKF, for any recording and start. The NIS is with R as it was before the step's own
+innovation."""
 
 
 def _fixed_point(
