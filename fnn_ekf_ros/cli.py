@@ -13,11 +13,8 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.stopping import exit_by_signal, stop_by_signal
+from fnn_ekf_ros.stopping import FAILURE, INTERRUPTED, exit_by_signal, stop_by_signal
 from fnn_ekf_ros.version import PACKAGE, version
-
-FAILURE = 1
-INTERRUPTED = 130
 
 
 class Command(NamedTuple):

@@ -1,13 +1,17 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Signals: a node stops between two messages, a command leaves nothing behind."""
+"""Exit codes, and signals: a node stops between two messages, a command leaves nothing behind."""
 
 import signal
 import sys
 import threading
 from types import FrameType
 
+FAILURE = 1
+"""Exit code after an error that is printed."""
+INTERRUPTED = 130
+"""Exit code after SIGINT, as shells have it: 128 and the number of the signal."""
 STOPPED = threading.Event()
 """Set by SIGINT and SIGTERM after `stop_by_signal`."""
 

@@ -18,6 +18,7 @@ from bench import batch_rows, machine, node_row, replay_row, step_row, study_row
 from bench.document import as_json, document, table
 from bench.places import packages_folder
 from bench.results import Context, Result, missed
+from command_line import exit_code
 
 import fnn_ekf_ros
 from fnn_ekf_ros.errors import FnnEkfError
@@ -27,7 +28,6 @@ from fnn_ekf_ros.stopping import exit_by_signal
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, BUILD = ROOT / "docs", ROOT / "build" / "bench"
 NAME = "benchmarks"
-FAILURE, INTERRUPTED = 1, 130
 AGAINST = "555235c"
 """The last commit before the core was rewritten."""
 ROWS = {
@@ -115,15 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark, or some rows of it; return the exit code, 0 if bars are missed too."""
     arguments = parsed(argv)
     exit_by_signal()
-    try:
-        made(arguments)
-    except (FnnEkfError, OSError) as error:
-        print(f"benchmarks: {error}", file=sys.stderr)
-        return FAILURE
-    except KeyboardInterrupt:
-        print("benchmarks: interrupted, nothing is written", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+    return exit_code("benchmarks", lambda: made(arguments), "nothing is written")
 
 
 if __name__ == "__main__":

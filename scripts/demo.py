@@ -24,6 +24,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from child_processes import end
+from command_line import exit_code
+
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import ODOMETRY_TYPE
 from fnn_ekf_ros.ros.record import Recorder
@@ -34,7 +37,6 @@ BAG, PARAMETERS, OUT = Path("bags/round"), Path("bags/round.yaml"), Path("demo")
 PICTURE, NUMBERS = "tracks.png", "errors.json"
 RATE = 20
 PATIENCE_S, STOPPING_S = 60.0, 10.0
-FAILURE, INTERRUPTED = 1, 130
 WHEELS = ["encoder_source:=joint_states"]
 """They carry the robot's stamps, so the result does not depend on when they arrive."""
 WRONG = ["process_noise_std:=[0.01, 0.0105]", "measurement_noise_std:=[0.5, 0.5, 0.67]"]
@@ -87,16 +89,6 @@ def signals_deferred() -> Iterator[None]:
             signal.raise_signal(number)
 
 
-def end(process: subprocess.Popen[str]) -> None:
-    """End a process by SIGTERM, or by SIGKILL if need be."""
-    process.terminate()
-    try:
-        process.wait(timeout=STOPPING_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
 @contextmanager
 def running(arguments: list[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
     """Run a process for the length of a block.
@@ -106,7 +98,7 @@ def running(arguments: list[str], **options: Any) -> Iterator[subprocess.Popen[s
     with ExitStack() as stack:
         with signals_deferred():
             process = subprocess.Popen(arguments, process_group=0, text=True, **options)
-            stack.callback(end, process)
+            stack.callback(end, process, signal.SIGTERM, STOPPING_S)
         yield process
 
 
@@ -244,15 +236,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.chdir(ROOT)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 90))  # two demos do not meet
-    try:
-        run()
-    except (FnnEkfError, OSError) as error:
-        print(f"demo: {error}", file=sys.stderr)
-        return FAILURE
-    except KeyboardInterrupt:
-        print(f"demo: interrupted, {OUT}/ stays as it was", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+    return exit_code("demo", run, f"{OUT}/ stays as it was")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any
 
+from command_line import exit_code
 from faults.processes import run_row
 from faults.recordings import Recordings, chosen, code_version
 from faults.rows import ROWS, UNDISTURBED
@@ -36,7 +37,6 @@ from fnn_ekf_ros.stopping import exit_by_signal
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
-FAILURE, INTERRUPTED = 1, 130
 SPAWN = multiprocessing.get_context("spawn")
 """How processes are started: rclpy does not survive a fork."""
 RATE, TICKS_SHARE = 6.0, 0.5
@@ -216,6 +216,7 @@ def alone() -> Iterator[None]:
         yield
 
 
+@alone()
 def made(arguments: argparse.Namespace) -> None:
     """Run what is asked for, and write the document if all rows are there.
 
@@ -249,19 +250,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the matrix, or some rows of it, and write what came of it; return the exit code."""
     arguments = parsed(argv)
     exit_by_signal()
-    try:
-        with alone():
-            made(arguments)
-    except (FnnEkfError, OSError) as error:
-        print(f"fault_matrix: {error}", file=sys.stderr)
-        return FAILURE
-    except KeyboardInterrupt:
-        print(
-            "fault_matrix: interrupted, docs/faults.md stays as it was; --missing goes on",
-            file=sys.stderr,
-        )
-        return INTERRUPTED
-    return 0
+    interrupted = "docs/faults.md stays as it was; --missing goes on"
+    return exit_code("fault_matrix", lambda: made(arguments), interrupted)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import yaml
+from clone import git
 
 from fnn_ekf_ros.errors import FnnEkfError
 
@@ -67,11 +68,13 @@ def check_clean(root: Path) -> None:
     """Check that everything in a clone is committed.
 
     Raises:
-        FnnEkfError: there are changes.
+        FnnEkfError: there are changes, or it is no clone.
     """
-    changed = _git(root, "status", "--porcelain")
+    changed = git(root, "status", "--porcelain")
     if changed:
-        raise FnnEkfError(f"{changed[0].split()[-1]} is not committed: expected a clean tree")
+        raise FnnEkfError(
+            f"{changed.splitlines()[0].split()[-1]} is not committed: expected a clean tree"
+        )
 
 
 def check_finished(root: Path, names: Iterable[str]) -> None:
@@ -94,22 +97,13 @@ def check_finished(root: Path, names: Iterable[str]) -> None:
                 raise FnnEkfError(f"{name}, line {number}: {mark[0]}; expected no work left to do")
 
 
-def _git(root: Path, *words: str) -> list[str]:
-    """Return the lines that git prints."""
-    command = ["git", "-C", str(root), *words]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    if ended.returncode:
-        raise FnnEkfError(f"git {words[0]}: {ended.stderr.strip()}; expected a clone")
-    return ended.stdout.splitlines()
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Check this clone; return the exit code."""
     argparse.ArgumentParser(description=__doc__).parse_args(argv)
     try:
         version = one_version(versions(ROOT))
         check_clean(ROOT)
-        check_finished(ROOT, _git(ROOT, "ls-files"))
+        check_finished(ROOT, git(ROOT, "ls-files").splitlines())
     except (FnnEkfError, OSError) as error:
         print(f"release_check: {error}", file=sys.stderr)
         return 1

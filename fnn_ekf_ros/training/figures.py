@@ -36,8 +36,7 @@ def draw_change(path: Path, pairs: TrainingSet, start: FuzzyNetwork, after: Fuzz
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    figure = new_figure(9.0, 7.5)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    figure, top, bottom = _two_panels()
     D = np.sinh(np.linspace(-1.0, 1.0, 801) * np.arcsinh(FARTHEST)) * UNITS_PER_SCALE
     top.scatter(
         -pairs.mismatch * UNITS_PER_SCALE,
@@ -73,8 +72,7 @@ def draw_joint_change(
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    figure = new_figure(9.0, 7.5)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    figure, top, bottom = _two_panels()
     fine = 0.05
     u = fine * np.sinh(np.linspace(-1.0, 1.0, 801) * np.arcsinh(JOINT_SPAN / fine))
     top.plot(u, u, color=GREY, lw=0.8, label="slope 1")
@@ -88,6 +86,13 @@ def draw_joint_change(
     ticks = (-3, -1, -0.3, -0.1, 0, 0.1, 0.3, 1, 3)
     _finish_change(top, bottom, u, learned, meaning, fine, ticks)
     save(figure, path)
+
+
+def _two_panels() -> tuple[Any, Any, Any]:
+    """Return a figure of a change: itself, the panel of the change, the panel of the weights."""
+    figure = new_figure(9.0, 7.5)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
+    return figure, top, bottom
 
 
 def _finish_change(

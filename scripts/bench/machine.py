@@ -6,13 +6,20 @@
 import importlib.metadata
 import os
 import platform
-import subprocess
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-CODE = ("fnn_ekf_ros", "scripts/benchmarks.py", "scripts/bench", "requirements-bench.txt")
+from clone import GitError, git
+
+CODE = (
+    "fnn_ekf_ros",
+    "scripts/benchmarks.py",
+    "scripts/bench",
+    "scripts/child_processes.py",
+    "requirements-bench.txt",
+)
 """What decides the numbers; other files may be changed."""
 
 
@@ -43,7 +50,7 @@ def commit(root: Path) -> str:
     try:
         name = git(root, "log", "-1", "--format=%h", "--abbrev=7")
         changed = git(root, "status", "--porcelain", "--", *CODE)
-    except (OSError, subprocess.CalledProcessError):
+    except GitError:
         return "unknown: no clone"
     return f"{name} with changes that are not committed" if changed else name
 
@@ -53,19 +60,8 @@ def code(root: Path) -> str:
     try:
         name = git(root, "log", "-1", "--format=%h", "--", *CODE)
         return name + git(root, "diff", "HEAD", "--", *CODE)
-    except (OSError, subprocess.CalledProcessError):
+    except GitError:
         return ""
-
-
-def git(root: Path, *arguments: str) -> str:
-    """Return what git prints in a clone.
-
-    Raises:
-        OSError: git is not installed.
-        subprocess.CalledProcessError: git refuses.
-    """
-    command = ["git", "-C", str(root), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def versions(packages: Path) -> dict[str, str]:

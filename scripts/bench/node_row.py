@@ -4,13 +4,11 @@
 """Row `node`: the live localizer beside a node that does nothing."""
 
 import os
-import signal
 import statistics
-import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from typing import Any
+
+from child_processes import running_with_log
 
 from bench.results import Bar, Context, Line, Result, Row, ratio
 from bench.robot import GEOMETRY
@@ -106,7 +104,13 @@ def _once(context: Context, kind: str, domain: int, window_s: float) -> Any:
     }[kind]
     with (
         Worker(context, "feed_worker", context.root) as feeder,
-        _running(context, kind, command) as node,
+        running_with_log(
+            context.build / "log" / f"{kind.replace(' ', '_')}.log",
+            [sys.executable, "-m", *command],
+            PATIENCE_S,
+            cwd=context.build,
+            env=environment(context.root),
+        ) as node,
     ):
         found = feeder.ask(pid=node.pid, settle_s=SETTLE_S, window_s=window_s)
         if node.poll() is not None:
@@ -116,31 +120,6 @@ def _once(context: Context, kind: str, domain: int, window_s: float) -> Any:
             f"{kind}: {len(found['after_end_ms'])} odom in {found['periods']} periods"
         )
     return found
-
-
-@contextmanager
-def _running(
-    context: Context, kind: str, command: Sequence[str]
-) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a node for the length of a block; SIGINT ends it."""
-    log = context.build / "log" / f"{kind.replace(' ', '_')}.log"
-    with log.open("wb") as output:
-        process = subprocess.Popen(
-            [sys.executable, "-m", *command],
-            cwd=context.build,
-            env=environment(context.root),
-            stdout=output,
-            stderr=subprocess.STDOUT,
-        )
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 ROW = Row("node", "The live node, and from the end of a period to `odom`", HOW, measure)

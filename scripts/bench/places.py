@@ -6,10 +6,11 @@
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from bench.machine import git
+from clone import GitError, git
+
 from bench.results import Context
 from fnn_ekf_ros.errors import FnnEkfError
 
@@ -55,9 +56,8 @@ def tree_of(context: Context, commit: str) -> Iterator[Path]:
     _remove(context, folder)
     try:
         git(context.root, "worktree", "add", "--detach", "--force", str(folder), commit)
-    except (OSError, subprocess.CalledProcessError) as error:
-        said = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1:]
-        raise FnnEkfError(f"--against {commit}: {' '.join(said)}") from None
+    except GitError as error:
+        raise FnnEkfError(f"--against {commit}: {error}") from None
     try:
         yield folder
     finally:
@@ -67,5 +67,5 @@ def tree_of(context: Context, commit: str) -> Iterator[Path]:
 def _remove(context: Context, folder: Path) -> None:
     """Remove a worktree, if there is one, and what git remembers of one that is gone."""
     for arguments in (("remove", "--force", str(folder)), ("prune",)):
-        command = ["git", "-C", str(context.root), "worktree", *arguments]
-        subprocess.run(command, capture_output=True, check=False)
+        with suppress(GitError):
+            git(context.root, "worktree", *arguments)

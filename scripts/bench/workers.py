@@ -17,6 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from child_processes import wait_or_kill
+
 from bench.results import Context
 from fnn_ekf_ros.errors import FnnEkfError
 
@@ -69,11 +71,7 @@ class Worker:
         """End the process."""
         if self._process.stdin is not None:
             self._process.stdin.close()
-        try:
-            self._process.wait(timeout=PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        wait_or_kill(self._process, PATIENCE_S)
         if self._process.stdout is not None:
             self._process.stdout.close()
 

@@ -4,15 +4,14 @@
 """Rows of the fault matrix as processes: `fake_robot` and `localizer`, recorded."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import yaml
+from child_processes import running_with_log
 
 from faults.scenarios import (
     END_S,
@@ -50,23 +49,6 @@ def command(name: str, parameters: Sequence[str]) -> list[str]:
     return ["env", "--default-signal=INT", *start, "--ros-args", *given]
 
 
-@contextmanager
-def running(log: Path, arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process for the length of a block, ended by SIGINT; its output goes to a file."""
-    with log.open("wb") as output:
-        process = subprocess.Popen(arguments, stdout=output, stderr=subprocess.STDOUT)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(timeout=PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
 def record(given: FaultScenario, folder: Path, rate: float) -> None:
     """Run a row's processes in a folder and record them until the robot's time is over.
 
@@ -91,12 +73,12 @@ def record(given: FaultScenario, folder: Path, rate: float) -> None:
     logs = {name: folder / f"{name}.log" for name in ("localizer", "fake_robot")}
     with (
         Recorder(folder / "run", RECORDED) as recorder,
-        running(logs["localizer"], localizer) as node,
+        running_with_log(logs["localizer"], localizer, PATIENCE_S) as node,
     ):
         others = {"/odom", "/localizer/noise", "/diagnostics"}
         there = lambda: all(recorder.publisher_count(topic) for topic in others)  # noqa: E731
         wait(there, recorder, [node], logs, PATIENCE_S)
-        with running(logs["fake_robot"], robot) as hardware:
+        with running_with_log(logs["fake_robot"], robot, PATIENCE_S) as hardware:
             patience_s = PATIENCE_S + 5.0 * END_S / rate
             whole = lambda: recorder.counts["/ground_truth"] >= needed  # noqa: E731
             wait(whole, recorder, [node, hardware], logs, patience_s)

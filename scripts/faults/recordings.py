@@ -11,9 +11,10 @@ import hashlib
 import os
 import re
 import shutil
-import subprocess
 from collections.abc import Collection, Sequence
 from pathlib import Path
+
+from clone import GitError, git
 
 from faults import tables as fault_tables
 from faults.matrix import judge
@@ -22,7 +23,7 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.version import version
 
-CODE = ("fnn_ekf_ros", "scripts/fault_matrix.py", "scripts/faults")
+CODE = ("fnn_ekf_ros", "scripts/fault_matrix.py", "scripts/faults", "scripts/child_processes.py")
 """What decides how a run goes."""
 NOTE = "made_by"
 """The file beside a recording that names the code."""
@@ -38,9 +39,9 @@ def code_version(root: Path) -> str:
     """
     package = version().partition(",")[0]
     try:
-        commit = _git(root, "log", "-1", "--format=%h", "--abbrev=7", "--", *CODE)
-        changed = _git(root, "status", "--porcelain", "--", *CODE)
-    except (OSError, subprocess.CalledProcessError):
+        commit = git(root, "log", "-1", "--format=%h", "--abbrev=7", "--", *CODE)
+        changed = git(root, "status", "--porcelain", "--", *CODE)
+    except GitError:
         commit, changed = "", ""
     if commit and not changed:
         return f"{package}, commit {commit}"
@@ -50,11 +51,6 @@ def code_version(root: Path) -> str:
             digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     origin = f"commit {commit} with changes" if commit else "no commit, files"
     return f"{package}, {origin} {digest.hexdigest()[:8]}"
-
-
-def _git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def chosen(rows: Sequence[FaultScenario], words: Sequence[str]) -> list[FaultScenario]:

@@ -15,6 +15,7 @@ from bench.results import MET, MISSED, Bar, Context, Line, Result, Row, missed, 
 from bench.step_worker import own
 
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.stopping import FAILURE
 
 
 def measure(_: Context) -> Result:
@@ -134,7 +135,7 @@ def test_a_row_that_fails_leaves_the_documents_alone(
     folders: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     docs, build = folders
-    assert benchmarks.main([]) == benchmarks.FAILURE
+    assert benchmarks.main([]) == FAILURE
     assert capsys.readouterr().err.startswith("benchmarks: rows that failed: bad")
     assert not list(docs.iterdir())
     assert "it failed (no such luck)" in (build / "benchmarks.md").read_text()
