@@ -1,7 +1,7 @@
 # make demo: a recorded bag through the live localizer, a table and a picture.
 # make test: lint, types, unit, property and integration tests, colcon build and colcon test.
 # make faults: docs/faults.md, each fault through live nodes, about 20 minutes; not in make test.
-# make hostile: a million hostile messages through the pipeline, 10^5 through a node, half an hour.
+# make hostile: a million hostile messages through the localizer, 10^5 through a node, half an hour.
 # make soak: ten simulated days in one run, about an hour; not part of make test.
 # make bench: docs/benchmarks.md, what everything costs, 15 to 20 minutes; not part of make test.
 # make coverage: which lines of the package the tests run; make release-check: ready for a release?

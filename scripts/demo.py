@@ -140,7 +140,7 @@ def live(out: Path) -> None:
 
 
 def replay(out: Path) -> None:
-    """Run the localizer's pipeline over the bag in each of the ways to compare with.
+    """Run the localizer over the bag in each of the ways to compare with.
 
     Raises:
         FnnEkfError: a replay failed.

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ten simulated days in one run of the localizer's pipeline: does anything grow, drift or break?
+"""Ten simulated days in one run of the localizer: does anything grow, drift or break?
 
 A robot drives figures of eight, with a rest now and then; its wheels slip, its sensors are noisy,
 its counters wrap, and once an hour something goes wrong: an outlier, a compass that is silent, a
@@ -125,11 +125,11 @@ def memory_mb() -> float:
 
 
 class Soak:
-    """The run: the robot, the pipeline, and what has been seen so far."""
+    """The run: the robot, the localizer, and what has been seen so far."""
 
     def __init__(self, seed: int) -> None:
         self._robot = Robot(seed)
-        self._pipeline = Localizer(PARAMETERS, networks_for(PARAMETERS))
+        self._localizer = Localizer(PARAMETERS, networks_for(PARAMETERS))
         self._previous_ns: int | None = None
         self._scored, self._sum_of_squares = 0, 0.0  # no list: memory is what is looked at
         self._levels: Counter[str] = Counter()
@@ -141,7 +141,7 @@ class Soak:
         if period % HOUR == CARRIED_AT:
             self._robot.pose = self._robot.pose + np.array([20.0, 0.0, 0.0])
         for event in self._robot.events(period):
-            self._look_at(period, self._pipeline.add(event, period * PERIOD_NS))
+            self._look_at(period, self._localizer.add(event, period * PERIOD_NS))
 
     def _look_at(self, period: int, outputs: Sequence[Output]) -> None:
         for output in outputs:

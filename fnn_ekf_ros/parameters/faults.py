@@ -40,16 +40,19 @@ def _duration() -> Any:
 
 
 def _topic(choices: tuple[str, ...]) -> Any:
-    return parameter("", "The topic that suffers.", choices=choices, required=True)
+    return parameter("", "The topic with the fault.", choices=choices, required=True)
 
 
 def _wheel(*choices: str) -> Any:
-    return parameter("", "The wheel that suffers.", choices=choices, required=True)
+    return parameter("", "The wheel with the fault.", choices=choices, required=True)
 
 
 def _rate(default: float = 1.0) -> Any:
     return parameter(
-        default, "Part of the messages that suffers, drawn one by one.", at_least=0.0, at_most=1.0
+        default,
+        "Share of the messages with the fault, drawn one by one.",
+        at_least=0.0,
+        at_most=1.0,
     )
 
 
@@ -68,7 +71,7 @@ class Fault(Parameters):
         return self.start + float(getattr(self, "duration", 0.0))
 
     def targets(self) -> tuple[str, ...]:
-        """Return what suffers: topics, wheels, or the robot as a whole."""
+        """Return what has the fault: topics, wheels, or the robot as a whole."""
         if "wheel" in {field.name for field in fields(self)}:
             wheel = str(getattr(self, "wheel"))  # noqa: B009 (only some have one)
             return WHEELS if wheel == "both" else (wheel,)

@@ -137,8 +137,8 @@ class Report(NamedTuple):
     time_s: float
     statuses: tuple[Status, ...]
 
-    def accused(self) -> set[str]:
-        """Return the sensors that are not well."""
+    def named(self) -> set[str]:
+        """Return the sensors whose status is not OK."""
         return {s.name for s in self.statuses if s.level > Level.OK and s.name in tuple(Sensor)}
 
     @property
@@ -231,12 +231,12 @@ def name_fault(case: FaultCase, setting: Setting, rng: np.random.Generator) -> N
         for report in reports(setting, onset_s + NAMED_WITHIN_S, case.faults(onset_s))
         if report.time_s >= onset_s
     ]
-    named = [report.time_s - onset_s for report in found if case.sensor in report.accused()]
+    named = [report.time_s - onset_s for report in found if case.sensor in report.named()]
     others: dict[str, str] = {}
     first = True
     for report in found:
         for status in report.statuses:
-            if status.name in report.accused() - {case.sensor}:
+            if status.name in report.named() - {case.sensor}:
                 others.setdefault(status.name, f"{report.time_s - onset_s:.1f} s: {status.message}")
         if not named or report.time_s - onset_s <= named[0]:
             first = first and not others

@@ -56,9 +56,9 @@ def number(value: float) -> str:
 def _line(line: Line) -> str:
     bar = "" if line.bar is None else str(line.bar)
     unit = "" if line.unit == "x" else f" [{line.unit}]"
-    verdict = f"**{line.verdict}**" if line.verdict else ""
+    outcome = f"**{line.outcome}**" if line.outcome else ""
     numbers = " | ".join(map(number, (line.median, min(line.values), max(line.values))))
-    return f"| {line.what}{unit} | {numbers} | {bar} | {verdict} |\n"
+    return f"| {line.what}{unit} | {numbers} | {bar} | {outcome} |\n"
 
 
 def _result(result: Result) -> str:

@@ -22,7 +22,7 @@ class Bar(NamedTuple):
     limit: float
     at_least: bool = False
 
-    def verdict(self, median: float) -> str:
+    def outcome(self, median: float) -> str:
         """Return whether a median meets the bar."""
         met = median >= self.limit if self.at_least else median <= self.limit
         return MET if met else MISSED
@@ -52,9 +52,9 @@ class Line(NamedTuple):
         return statistics.median(self.values)
 
     @property
-    def verdict(self) -> str:
+    def outcome(self) -> str:
         """Whether the bar is met; empty without one."""
-        return "" if self.bar is None else self.bar.verdict(self.median)
+        return "" if self.bar is None else self.bar.outcome(self.median)
 
     def as_json(self) -> dict[str, Any]:
         """Return the line for the JSON file."""
@@ -66,7 +66,7 @@ class Line(NamedTuple):
             "most": max(self.values),
             "values": list(self.values),
             "bar": None if self.bar is None else str(self.bar),
-            "verdict": self.verdict or None,
+            "outcome": self.outcome or None,
         }
 
 
@@ -138,5 +138,5 @@ def missed(results: Mapping[str, Result]) -> list[str]:
         f"{name}: {line.what}"
         for name, result in results.items()
         for line in result.lines
-        if line.verdict == MISSED
+        if line.outcome == MISSED
     ]

@@ -23,7 +23,7 @@ Elapsed time of `study grid`, with the 100 runs of 800 periods that it has if no
 by `--jobs 1` and `--jobs 2`, from start to end of the command: recordings, filters, tables and
 figures. "Faster" is the time of one job over that of two. Imports and figures are not divided.
 
-Elapsed time suffers from anything else that runs on the machine. The ratio of two cores says
+Anything else that runs on the machine adds to the elapsed time. The ratio of two cores says
 nothing about eight.
 """
 

@@ -46,8 +46,8 @@ class Window(NamedTuple):
     nees: float
 
 
-class Verdict(NamedTuple):
-    """What came of a row.
+class FaultEffect(NamedTuple):
+    """Effect of a fault on a run.
 
     Attributes:
         before: from `SETTLED_S` to the onset.
@@ -158,8 +158,10 @@ def back_after(times_s: Sequence[float], bad: Sequence[bool], since_s: float) ->
     return math.nan if later[-1] + 1 == len(times_s) else times_s[later[-1] + 1] - since_s
 
 
-def judge(row: FaultScenario, run: Run, undisturbed: Run, without: Run | None = None) -> Verdict:
-    """Return what came of a row.
+def fault_effect(
+    row: FaultScenario, run: Run, undisturbed: Run, without: Run | None = None
+) -> FaultEffect:
+    """Return the effect of a row's fault.
 
     Args:
         row: what was injected.
@@ -173,7 +175,7 @@ def judge(row: FaultScenario, run: Run, undisturbed: Run, without: Run | None = 
     reported = [remark for remark in run.remarks if remark.time_s >= ONSET_S]
     reported_s = sorted({remark.time_s for remark in reported})
     troubled = {remark.time_s for remark in reported if remark.level is not Level.OK}
-    return Verdict(
+    return FaultEffect(
         before=window(run, SETTLED_S, ONSET_S),
         during=window(run, ONSET_S, ONSET_S + LASTS_S),
         after=window(run, ONSET_S + LASTS_S, END_S),

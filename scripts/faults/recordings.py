@@ -17,7 +17,7 @@ from pathlib import Path
 from clone import GitError, git
 
 from faults import tables as fault_tables
-from faults.matrix import judge
+from faults.matrix import fault_effect
 from faults.scenarios import FaultScenario, Run, read_run
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.files.text_files import write_text
@@ -153,7 +153,7 @@ class Recordings:
         for row in self._rows:
             usual = runs[self._undisturbed[row.ticks].name]
             without = runs[row.without] if row.without else usual
-            lines.append((row, judge(row, runs[row.name], usual, without)))
+            lines.append((row, fault_effect(row, runs[row.name], usual, without)))
         text = fault_tables.document(lines, runs[self._rows[0].name], made_by, picture)
         partial = table.with_name(f".{os.getpid()}.{picture}")
         try:

@@ -41,7 +41,7 @@ RECORDED = {
     "/localizer/noise": messages.NOISE_TYPE,
     "/diagnostics": messages.DIAGNOSTICS_TYPE,
 }
-"""What a run is judged by: type name by topic."""
+"""Recorded topics of a run, each with the type name of its messages."""
 
 
 class FaultScenario(NamedTuple):

@@ -12,8 +12,8 @@ import yaml
 from faults.matrix import (
     SAME_M,
     SETTLED_S,
+    FaultEffect,
     Said,
-    Verdict,
     Window,
     largest_usual_error,
     position_error,
@@ -30,12 +30,12 @@ SMALLEST_SHOWN_M, LARGEST_SHOWN_M = 1e-2, 50.0
 
 
 def document(
-    lines: Sequence[tuple[FaultScenario, Verdict]], undisturbed: Run, made_by: str, picture: str
+    lines: Sequence[tuple[FaultScenario, FaultEffect]], undisturbed: Run, made_by: str, picture: str
 ) -> str:
     """Return docs/faults.md.
 
     Args:
-        lines: the rows, each with what came of it.
+        lines: the rows, each with its effect.
         undisturbed: the run without a fault.
         made_by: version and commit of the code that ran.
         picture: file name of the picture beside the document.
@@ -71,7 +71,7 @@ All poses, covariances, twists and noises that were published were finite{{}}.
 | back [s] | OK [s] |
 |---|---|---|---|---|---|---|---|---|---|---|
 """
-    broken = [row.name for row, verdict in lines if not verdict.finite]
+    broken = [row.name for row, effect in lines if not effect.finite]
     head = head.replace("{}", f", but for: {', '.join(broken)}" if broken else "")
     return (
         head
@@ -109,19 +109,18 @@ def draw(path: Path, runs: Sequence[tuple[FaultScenario, Run]]) -> None:
     save(figure, path, dpi=80)
 
 
-def _line(row: FaultScenario, verdict: Verdict) -> str:
-    v = verdict
-    windows = (v.before, v.during, v.after)
+def _line(row: FaultScenario, effect: FaultEffect) -> str:
+    windows = (effect.before, effect.during, effect.after)
     cells = [
         f"**{row.name}**<br>{row.meaning}",
         _injected(row),
-        "<br>".join(map(_sentence, v.said)) or "nothing new",
+        "<br>".join(map(_sentence, effect.said)) or "nothing new",
         *map(_errors, windows),
         " / ".join(_number(w.nees, 1) for w in windows),
-        _number(v.moved, 3),
-        str(v.missing),
-        _seconds(v.recovered_s),
-        _seconds(v.fine_s),
+        _number(effect.moved, 3),
+        str(effect.missing),
+        _seconds(effect.recovered_s),
+        _seconds(effect.fine_s),
     ]
     return f"| {' | '.join(cells)} |\n"
 

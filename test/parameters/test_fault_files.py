@@ -181,7 +181,7 @@ def test_the_table_tells_every_fault_and_key_with_limits_and_default() -> None:
             assert (row[5].strip() == "must be given") == spec.required
     assert "`duration` | How long it lasts; left out: to the end. [s] | from 0.0125 to " in table
     assert (
-        "| `rate` | Part of the messages that suffers, drawn one by one. | from 0 to 1 | 0.1 |"
+        "| `rate` | Share of the messages with the fault, drawn one by one. | from 0 to 1 | 0.1 |"
         in (table)
     )
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The benchmark's verdicts, tables and files; nothing is measured here."""
+"""The benchmark's outcomes, tables and files; nothing is measured here."""
 
 import json
 from pathlib import Path
@@ -27,7 +27,7 @@ SLOW = Line("slow", "us", [4.0, 3.0, 4.0])
 
 
 @pytest.mark.parametrize(
-    ("bar", "median", "verdict"),
+    ("bar", "median", "outcome"),
     [
         (Bar(3.0), 3.0, MET),
         (Bar(3.0), 3.01, MISSED),
@@ -35,14 +35,14 @@ SLOW = Line("slow", "us", [4.0, 3.0, 4.0])
         (Bar(6.0, at_least=True), 5.99, MISSED),
     ],
 )
-def test_a_bar_is_met_or_missed(bar: Bar, median: float, verdict: str) -> None:
-    assert bar.verdict(median) == verdict
-    assert Line("", "x", [0.0, median, 100.0], bar).verdict == verdict
+def test_a_bar_is_met_or_missed(bar: Bar, median: float, outcome: str) -> None:
+    assert bar.outcome(median) == outcome
+    assert Line("", "x", [0.0, median, 100.0], bar).outcome == outcome
 
 
-def test_a_line_without_a_bar_has_no_verdict() -> None:
-    assert FAST.verdict == ""
-    assert FAST.as_json()["verdict"] is None
+def test_a_line_without_a_bar_has_no_outcome() -> None:
+    assert FAST.outcome == ""
+    assert FAST.as_json()["outcome"] is None
 
 
 def test_a_ratio_is_taken_round_by_round() -> None:
@@ -51,7 +51,7 @@ def test_a_ratio_is_taken_round_by_round() -> None:
         ratio("", SLOW, Line("", "us", [1.0]))
 
 
-def test_the_table_has_median_range_bar_and_verdict() -> None:
+def test_the_table_has_median_range_bar_and_outcome() -> None:
     shown = table([FAST, ratio("slow over fast", SLOW, FAST, Bar(1.5))]).splitlines()
     assert shown[2] == "| fast [us] | 2 | 1 | 4 |  |  |"
     assert shown[3] == "| slow over fast | 2 | 1 | 3 | <= 1.5 | **missed** |"

@@ -12,7 +12,7 @@ import pytest
 from faults.matrix import (
     Said,
     back_after,
-    judge,
+    fault_effect,
     missing_odom,
     moved,
     news,
@@ -124,28 +124,28 @@ def test_back_after_the_last_bad_one() -> None:
     assert math.isnan(back_after(times, [False, False, False, True], 15.0))
 
 
-def test_the_verdict_counts_from_the_end_of_the_fault() -> None:
+def test_the_effect_counts_from_the_end_of_the_fault() -> None:
     usual = run(0.1)
     error = np.where((PERIODS >= 30.0) & (PERIODS < 56.25), 1.0, 0.1)
     remarks = tuple(
         Remark(float(t), "compass", Level.WARN if 33 <= t <= 52 else Level.OK, f"{t}")
         for t in range(1, 90)
     )
-    lasting = judge(DROPOUT, run(error, remarks), usual)
+    lasting = fault_effect(DROPOUT, run(error, remarks), usual)
     assert (lasting.recovered_s, lasting.fine_s) == (6.25, 3.0)
     assert (lasting.before.rmse, lasting.during.rmse) == pytest.approx((0.1, 1.0))
     assert lasting.moved == pytest.approx(0.9)
-    assert judge(DROPOUT, run(error, remarks), usual, run(error)).moved == 0.0
-    instant = judge(KIDNAP, run(error, remarks), usual)
+    assert fault_effect(DROPOUT, run(error, remarks), usual, run(error)).moved == 0.0
+    instant = fault_effect(KIDNAP, run(error, remarks), usual)
     assert (instant.recovered_s, instant.fine_s) == (26.25, 23.0)
-    assert judge(DROPOUT, run(0.14), usual).recovered_s == 0.0
+    assert fault_effect(DROPOUT, run(0.14), usual).recovered_s == 0.0
 
 
 def test_document_and_picture_show_every_row(tmp_path: Path) -> None:
     said = (Remark(31.0, "compass", Level.WARN, "a | b"),)
-    verdict = judge(DROPOUT, run(0.2, said), run(0.1))
+    effect = fault_effect(DROPOUT, run(0.2, said), run(0.1))
     text = document(
-        [(DROPOUT, verdict._replace(finite=False)), (KIDNAP, judge(KIDNAP, run(), run()))],
+        [(DROPOUT, effect._replace(finite=False)), (KIDNAP, fault_effect(KIDNAP, run(), run()))],
         run(0.1), "v1", "p.png",
     )  # fmt: skip
     rows = [line for line in text.splitlines() if line.startswith("| **")]

@@ -16,7 +16,7 @@ from fnn_ekf_ros.study.starts import ALL_CELLS, FACTORS
 
 HOW_TO_READ = f"""\
 q, k: configured variance of Q and of R at the start, over that of the parameters.
-All filters see the periods of the localizer's own pipeline, late inputs in their place, and start
+All filters see the periods of the localizer itself, late inputs in their place, and start
 from the first pose that was measured, with P = R of their start. RMSE: of the position, over the
 estimates for which the ground truth is known, nothing aligned. Median, worst: over the starts.
 Ratio: to the EKF from the best of its {len(ALL_CELLS)} starts, which takes a ground truth to find.

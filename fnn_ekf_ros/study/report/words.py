@@ -171,14 +171,14 @@ def _duel(worst: dict[str, float], labels: Labels) -> str:
     """Return how the paper's filter does against the EKF, and which filter does best."""
     ekf, fnn = worst[EKF], worst[PAPER]
     if fnn < (1.0 - ALIKE) * ekf:
-        verdict = "the FNN-EKF wins"
+        comparison = "the FNN-EKF wins"
     elif fnn > (1.0 + ALIKE) * ekf:
-        verdict = "the FNN-EKF loses"
+        comparison = "the FNN-EKF loses"
     else:
-        verdict = "they are alike"
+        comparison = "they are alike"
     best = min((name for name in worst if name != ORACLE), key=worst.__getitem__)
     return (
-        f"{verdict}, {number(fnn)} against {number(ekf)} of the EKF; nearest to the oracle is "
+        f"{comparison}, {number(fnn)} against {number(ekf)} of the EKF; nearest to the oracle is "
         f"{labels[best]}, {number(worst[best])}."
     )
 
