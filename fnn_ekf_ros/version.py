@@ -1,9 +1,9 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which version of the package this is.
+"""The package's version.
 
-What looks it up is imported there: it would take 2 MB of every node that is never asked.
+The modules that look it up are imported in the functions: they would take 2 MB of every node.
 """
 
 import re

@@ -38,7 +38,7 @@ PICTURE, NUMBERS = "tracks.png", "errors.json"
 RATE = 20
 PATIENCE_S, STOPPING_S = 60.0, 10.0
 WHEELS = ["encoder_source:=joint_states"]
-"""They carry the robot's stamps, so the result does not depend on when they arrive."""
+"""Parameter for wheels with the robot's stamps: the result does not depend on when they arrive."""
 WRONG = ["process_noise_std:=[0.01, 0.0105]", "measurement_noise_std:=[0.5, 0.5, 0.67]"]
 PLAIN = ["adaptation:=none"]
 PLAYED = ["joint_states", "compass", "lrf_pose"]

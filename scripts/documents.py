@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What README.md and docs/*.md hold: indented blocks, commands to run, files that are shown."""
+"""Contents of README.md and docs/*.md: indented blocks, commands to run, files that are shown."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = ("README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))))
 COMMAND = "python3 -m fnn_ekf_ros "
-"""How a line of an example begins that is run; NAME stands for any command."""
+"""First words of a line of an example that is run; NAME stands for any command."""
 INDENTED = r"(?: {4}[^\n]*\n)+"
 
 

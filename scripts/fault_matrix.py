@@ -38,7 +38,7 @@ from fnn_ekf_ros.stopping import exit_by_signal
 ROOT = Path(__file__).resolve().parents[1]
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
 SPAWN = multiprocessing.get_context("spawn")
-"""How processes are started: rclpy does not survive a fork."""
+"""Way in which processes are started: rclpy does not survive a fork."""
 RATE, TICKS_SHARE = 6.0, 0.5
 """Rate of the first attempt [times real time], and the factor on it of rows with ticks: these are
 stamped on arrival, which is less precise at a high rate."""

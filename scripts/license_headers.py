@@ -19,7 +19,7 @@ YEAR = 2026
 FOLDERS = ("fnn_ekf_ros", "launch", "scripts", "test")
 """Folders with source files."""
 SUFFIXES = (".py", ".sh")
-"""How the names of source files end."""
+"""Endings of the names of source files."""
 
 
 def header(root: Path) -> str:

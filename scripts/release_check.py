@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a release needs: one version everywhere, a clean tree, nothing left to do.
+"""Check what a release needs: one version everywhere, a clean tree, nothing left to do.
 
 `make release-check` runs ruff and mypy first.
 """

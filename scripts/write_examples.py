@@ -40,7 +40,7 @@ LATE = ("in time", "late", "stamped on arrival", "waited for")
 
 
 class Shown(NamedTuple):
-    """What a document shows of an example.
+    """Part of a document that shows the result of an example.
 
     Attributes:
         document: its name.

@@ -47,7 +47,7 @@ _ROWS_OF_PROCESS = [Row.X, Row.COMPASS_YAW]
 
 
 class AdaptationMode(StrEnum):
-    """Which noise covariances the network adapts."""
+    """Choice of the noise covariances that the network adapts."""
 
     NONE = "none"
     R = "r"
@@ -67,7 +67,7 @@ class AdaptationMode(StrEnum):
 
 
 class InferenceKind(StrEnum):
-    """How the consequents of the rules are combined."""
+    """Choice of how the consequents of the rules are combined."""
 
     TSUKAMOTO = "tsukamoto"
     CENTROID = "centroid"
@@ -112,7 +112,7 @@ class Networks(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Adaptation:
-    """How the noise is adapted.
+    """Settings of the adaptation of the noise.
 
     Attributes:
         mode: which covariances are adapted; mode `joint` by `joint.learn`.

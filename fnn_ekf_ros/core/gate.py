@@ -91,7 +91,7 @@ class GateState(NamedTuple):
 
 
 class GateDecision(NamedTuple):
-    """Which readings of an instant the gate rejects.
+    """Decision of the gate on the readings of an instant.
 
     Attributes:
         nis: `(2, *batch)` NIS of each sensor; 0 where it measured nothing.

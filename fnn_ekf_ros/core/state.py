@@ -74,12 +74,12 @@ class FilterModel:
 
     @property
     def layout(self) -> "Layout":
-        """Which filters are where in the bank."""
+        """Places of the filters in the bank."""
         return _layout(self.is_joint, self.suspects)
 
 
 class Layout(NamedTuple):
-    """Which filters are where in the bank; the relocation hypothesis's is the last one.
+    """Places of the filters in the bank; the relocation hypothesis's is the last one.
 
     Attributes:
         compared: those that readings are compared with: the published filter, those of joint

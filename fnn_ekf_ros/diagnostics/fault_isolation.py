@@ -53,7 +53,7 @@ class Band(NamedTuple):
 
 
 class Symptoms(NamedTuple):
-    """What a sensor's last readings show.
+    """Symptoms in a sensor's last readings.
 
     Attributes:
         rejected: number of them that the gate rejected.

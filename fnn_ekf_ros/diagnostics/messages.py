@@ -43,7 +43,7 @@ NAMES = {
     "process noise": PROCESS_NOISES,
     "measurement noise": MEASUREMENT_NOISES,
 }
-"""What the names in angle brackets stand for."""
+"""Meanings of the names in angle brackets."""
 
 
 class InputMessage(StrEnum):

@@ -75,7 +75,7 @@ class SensorReadings(NamedTuple):
 
 
 class RecentPeriods(NamedTuple):
-    """What is kept of the last periods of a filter.
+    """History of the last periods of a filter.
 
     Attributes:
         readings: of the compass and of the fixes.

@@ -30,7 +30,7 @@ stuck wheel's rotation is wrong, and even a filter that follows it halfway shows
 
 
 class WheelObservation(NamedTuple):
-    """What is known of both wheels and of the yaw at the end of a period.
+    """Observation of both wheels and of the yaw at the end of a period.
 
     Attributes:
         stamp_ns: the period's end [ns].

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the ROS messages mean: into events, and out of estimates."""
+"""Meaning of the ROS messages: into events, and out of estimates."""
 
 from fnn_ekf_ros.messages.names import (
     CLOCK,

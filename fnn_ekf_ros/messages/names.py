@@ -80,7 +80,7 @@ NOISE_FIELDS = (
         for rule in ("increase", "maintain", "decrease")
     ),
 )
-"""What each number of `~/noise` is; variances in m^2 and rad^2.
+"""Names of the numbers of `~/noise`, in order; variances in m^2 and rad^2.
 
 NIS and degrees of freedom are summed over the readings of the period; what is given by row is
 that of its last reading.

@@ -42,7 +42,7 @@ _A_COVARIANCE = (
 
 
 _PLANAR_NUMBERS = np.arange(36).reshape(6, 6)[PLANAR]
-"""Where the covariances of x, y and yaw stand among 36 numbers, `(3, 3)`."""
+"""Places of the covariances of x, y and yaw among 36 numbers, `(3, 3)`."""
 
 
 def read_input(

@@ -31,7 +31,7 @@ UNUSED_VARIANCE = 1e-9
 """Variance published for what a planar robot does not do: z, roll, pitch, sideways."""
 _JOINT_NUMBERS = len(SCALES) + len(HYPOTHESES)
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
-"""Where x, y and yaw stand in a 6x6 covariance."""
+"""Places of x, y and yaw in a 6x6 covariance."""
 
 
 _UNUSED = np.diag(np.full(6, UNUSED_VARIANCE))

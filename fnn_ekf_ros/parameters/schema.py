@@ -33,7 +33,7 @@ class ParameterError(FnnEkfError):
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """What is known of one parameter besides its default.
+    """Description of one parameter, without its default.
 
     Attributes:
         doc: one sentence for the user.

@@ -38,7 +38,7 @@ localizer's parameters."""
 LARGEST_COUNT = 1e15
 """Largest count of an encoder: double precision holds whole numbers up to 9e15."""
 FIRST_STAMP_S = 3.0
-"""Where a recording begins that began at or before 0 [s]: ROS time 0 means no time."""
+"""First stamp of a recording that began at or before 0 [s]: ROS time 0 means no time."""
 LONGEST_TIMEOUT_S = 60.0
 """Largest `encoder_timeout` that is written [s], the end of that parameter's range."""
 
@@ -53,7 +53,7 @@ class Timed(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Which columns hold what; empty for what a recording does not have.
+    """Names of the columns; empty for what a recording does not have.
 
     Attributes:
         truth: x, y and, if there is one, yaw.

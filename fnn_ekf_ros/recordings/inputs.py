@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What of a recording the localizer listens to, for all commands that run it."""
+"""Topics of a recording that the localizer listens to, for all commands that run it."""
 
 from collections.abc import Mapping
 

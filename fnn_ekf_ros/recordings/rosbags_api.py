@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What of rosbags is used; the only module that imports it."""
+"""Names of rosbags that the package uses; the only module that imports it."""
 
 from fnn_ekf_ros.errors import FnnEkfError
 

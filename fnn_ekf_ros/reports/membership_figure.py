@@ -25,7 +25,7 @@ MEMBERSHIP_SPANS = {MISMATCH: MEMBERSHIP_SPAN, EXPLAINED: 1.5}
 
 
 class Axes(NamedTuple):
-    """How membership functions are drawn.
+    """Axes of a picture of membership functions.
 
     Attributes:
         argument: label of the antecedents.

@@ -44,7 +44,7 @@ PANELS = ("x [m]", "y [m]", "heading [rad]")
 
 
 class Run(NamedTuple):
-    """What is drawn of a run.
+    """Run as it is drawn.
 
     Attributes:
         estimate: its poses.

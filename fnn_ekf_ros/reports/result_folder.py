@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where results go: checked before anything is computed or written."""
+"""Folders for results: checked before anything is computed or written."""
 
 import os
 from collections.abc import Collection, Iterable

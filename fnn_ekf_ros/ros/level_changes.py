@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which statuses are worth a line in the log: those that got better or worse, once in a while."""
+"""Statuses that are worth a line in the log: those that got better or worse, once in a while."""
 
 import math
 from collections.abc import Sequence

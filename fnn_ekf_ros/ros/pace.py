@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether a node keeps pace: the work for a message or a timer must take less than a period."""
+"""The pace of a node: the work for a message or a timer must take less than a period."""
 
 import time
 from collections.abc import Callable

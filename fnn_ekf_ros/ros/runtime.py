@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What every node of the package does the same way: start, parameters, spin, stop."""
+"""The common part of all nodes of the package: start, parameters, spin, stop."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence

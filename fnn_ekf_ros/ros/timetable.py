@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""When the messages of a recording are due."""
+"""Due times of the messages of a recording."""
 
 import math
 import time

@@ -46,7 +46,7 @@ OUTPUT_TYPES = {
 
 
 class _Seen(NamedTuple):
-    """What a sensor sees of the robot when it is read.
+    """State of the robot when a sensor is read.
 
     Attributes:
         pose: `(3,)` true pose (m, m, rad; map frame).

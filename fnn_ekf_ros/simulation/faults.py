@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What faults do to the robot itself: its motion, its encoders, its clock."""
+"""Effects of faults on the robot itself: its motion, its encoders, its clock."""
 
 import math
 from collections.abc import Sequence

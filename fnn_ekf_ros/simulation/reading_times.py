@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""When a sensor of the fake robot is read."""
+"""Times at which a sensor of the fake robot is read."""
 
 from fractions import Fraction
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What faults make of a message: each a function from message to message, which changes nothing.
+"""Effects of faults on a message: functions from message to message, which change nothing in place.
 
 A rotation is a product of quaternions, so that one that is no rotation stays none, whatever other
 faults add to it.

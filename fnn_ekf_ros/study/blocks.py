@@ -20,7 +20,7 @@ NUMBERS_OF_A_FILTER = 12
 
 
 class BlockStart(NamedTuple):
-    """What a filter of some robots starts with; all arrays have their batch.
+    """Start of a filter of some robots; all arrays have their batch.
 
     Attributes:
         period_s: length of one step [s].
@@ -38,7 +38,7 @@ class BlockStart(NamedTuple):
 
 
 class StepEstimate(NamedTuple):
-    """What a filter estimates of some robots after a step.
+    """Estimate of some robots' poses after a step.
 
     Attributes:
         mean: `(3, *batch)` poses (m, m, rad; map frame).

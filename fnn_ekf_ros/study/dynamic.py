@@ -14,7 +14,7 @@ from fnn_ekf_ros.study.trials import Size, TrialPlan, around_event
 
 
 class Case(NamedTuple):
-    """What goes wrong.
+    """Case of `study dynamic`.
 
     Attributes:
         about: in words.
@@ -64,7 +64,7 @@ CASES = {
 """The cases by name."""
 
 PATH = "sim1"
-"""What is driven, simulation 1's path."""
+"""Name of the path that is driven, that of simulation 1."""
 STARTS = (RIGHT, *CORNERS)
 """Starts that the pictures show."""
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which sensor diagnostics name when one fails: faults of one sensor at a time.
+"""Naming of the sensor that fails, by diagnostics: faults of one sensor at a time.
 
 The list was drawn up by what fails on robots, before anything was measured.
 """
@@ -127,7 +127,7 @@ NAMING_CASES: tuple[FaultCase, ...] = (
 
 
 class Report(NamedTuple):
-    """What diagnostics reported once.
+    """One report of diagnostics.
 
     Attributes:
         time_s: since the robot's start [s].
@@ -148,7 +148,7 @@ class Report(NamedTuple):
 
 
 class Naming(NamedTuple):
-    """What diagnostics reported of a fault.
+    """Sensors that diagnostics named after a fault.
 
     Attributes:
         case: which.
@@ -185,7 +185,7 @@ class Naming(NamedTuple):
 
 
 class Quiet(NamedTuple):
-    """What diagnostics reported while nothing was wrong.
+    """Reports of diagnostics on a run without a fault.
 
     Attributes:
         path: what was driven.

@@ -33,7 +33,7 @@ from fnn_ekf_ros.study.workers import in_any_order
 
 
 class FaultPlan(NamedTuple):
-    """What `study faults` runs.
+    """Plan of `study faults`.
 
     Attributes:
         cases: the faults.
@@ -53,7 +53,7 @@ class FaultPlan(NamedTuple):
 
 
 class FaultResults(NamedTuple):
-    """What diagnostics reported.
+    """Results of `study faults`.
 
     Attributes:
         named: of each run with a fault.

@@ -59,7 +59,7 @@ COMPASS_ROWS = (Row.COMPASS_YAW,)
 
 
 class Timing(NamedTuple):
-    """When the sensors are read.
+    """Times at which the sensors are read.
 
     Attributes:
         fix_rate: fixes per second [Hz].
@@ -77,7 +77,7 @@ class Timing(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What the sensors of n robots measured, at K instants.
+    """Measurements of the sensors of n robots, at K instants.
 
     Attributes:
         time_ns: `(K,)` when, in ascending order [ns since the start].
@@ -91,7 +91,7 @@ class Readings(NamedTuple):
 
 
 class TimedRecording(NamedTuple):
-    """What a filter gets to know of n robots, with the truth; E epochs in T periods.
+    """Inputs of a filter for n robots, with the truth; E epochs in T periods.
 
     Attributes:
         period_s: length of a period [s].

@@ -37,7 +37,7 @@ robots fit the cache together."""
 
 
 class RateResults(NamedTuple):
-    """What the runs came to.
+    """Results of the runs.
 
     Attributes:
         period_seconds: length of the runs without adaptation [s].

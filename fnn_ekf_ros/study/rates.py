@@ -38,7 +38,7 @@ from fnn_ekf_ros.study.scores import Errors, compare
 from fnn_ekf_ros.study.starts import CORNERS, RIGHT, starts_at
 
 PATH = "round"
-"""What is driven."""
+"""Name of the path that is driven."""
 PERIODS_S = (0.02, 0.1, 0.375, 1.0)
 """Periods that are compared [s]; the others are compared with the first."""
 COMMON_S = 3.0

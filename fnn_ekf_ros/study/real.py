@@ -81,7 +81,7 @@ class BatchStart(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What a filter estimated from every start.
+    """Estimates of a filter from every start.
 
     Attributes:
         mean: `(T, n, 3)` poses, the first one included (m, m, rad; map frame).

@@ -54,7 +54,7 @@ class RealRecording(NamedTuple):
 
 
 class FilterResult(NamedTuple):
-    """What a filter came to from every start.
+    """Results of a filter from every start.
 
     Attributes:
         name: what `--filters` calls it.
@@ -76,7 +76,7 @@ class FilterResult(NamedTuple):
 
 
 class BagResult(NamedTuple):
-    """What the filters came to on a recording.
+    """Results of the filters on a recording.
 
     Attributes:
         label: the bag's name.

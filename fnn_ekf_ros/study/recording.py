@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What every filter of a study is given and what it gives back; time first, then the batch."""
+"""Inputs and results of every filter of a study; time first, then the batch."""
 
 from typing import NamedTuple, TypeVar
 
@@ -9,7 +9,7 @@ from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 
 
 class Recording(NamedTuple):
-    """What the sensors of a batch of robots measured, with the truth; T steps, n runs.
+    """Measurements of a batch of robots, with the truth; T steps, n runs.
 
     Attributes:
         period_s: length of one step [s].
@@ -31,7 +31,7 @@ class Recording(NamedTuple):
 
 
 class Start(NamedTuple):
-    """What a filter starts with; leading dimensions broadcast to the batch.
+    """Start of a filter; leading dimensions broadcast to the batch.
 
     Attributes:
         mean: `(..., n, 3)` start pose (m, m, rad; map frame).
@@ -47,7 +47,7 @@ class Start(NamedTuple):
 
 
 class Estimates(NamedTuple):
-    """What a filter estimated after each of the T steps.
+    """Estimates of a filter after each of the T steps.
 
     Attributes:
         mean: `(T, ..., n, 3)` poses (m, m, rad; map frame).

@@ -47,7 +47,7 @@ POSITION_SLICE = slice(Row.X, Row.COMPASS_YAW)
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What differs from white Gaussian noise of known size; the default is nothing.
+    """Differences from white Gaussian noise of known size; the default is none.
 
     The first four happen during the event only, see `event_steps`; the others all the time.
 
@@ -78,7 +78,7 @@ NOMINAL = Scenario()
 
 
 class Drive(NamedTuple):
-    """Where a batch of robots went; T steps, n runs.
+    """True motion of a batch of robots; T steps, n runs.
 
     Attributes:
         truth: `(T + 1, n, 3)` true poses, the start first (m, m, rad; map frame).

@@ -43,7 +43,7 @@ class Errors(NamedTuple):
 
 
 class Score(NamedTuple):
-    """What a batch of runs comes to over some steps; the leading dimensions are the estimates'.
+    """Scores of a batch of runs over some steps; the leading dimensions are the estimates'.
 
     Attributes:
         rmse: `(..., 3)` mean over the runs of each run's root mean square error (m, m, rad).

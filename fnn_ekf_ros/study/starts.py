@@ -20,7 +20,7 @@ FACTORS = (1.0 / 25.0, 1.0 / 4.0, 1.0, 4.0, 25.0)
 
 
 class Cell(NamedTuple):
-    """How wrong a start is.
+    """Factors by which the noise of a start is wrong.
 
     Attributes:
         q: assumed over true variance of Q.

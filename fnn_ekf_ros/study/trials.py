@@ -22,7 +22,7 @@ cache and are slower, with fewer the overhead of Python dominates."""
 
 
 class Size(NamedTuple):
-    """How large a study is.
+    """Size of a study.
 
     Attributes:
         steps: T, periods of 375 ms.
@@ -36,7 +36,7 @@ class Size(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """What all filters are tried on.
+    """Recordings and starts that all filters are run on.
 
     Attributes:
         name: of the simulation or the case.
@@ -56,7 +56,7 @@ class Trial(NamedTuple):
 
 
 class TrialPlan(NamedTuple):
-    """What a trial is made of, see `make_trial`; small, and can be pickled.
+    """Plan from which `make_trial` makes a trial; small, and can be pickled.
 
     Attributes:
         name: of the trial.
@@ -76,7 +76,7 @@ class TrialPlan(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What became of a filter in a trial.
+    """Outcome of a filter in a trial.
 
     Attributes:
         trial: the trial's name.

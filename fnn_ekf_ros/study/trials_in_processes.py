@@ -58,7 +58,7 @@ class Request(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What became of it.
+    """Answer to a task.
 
     Attributes:
         outcome: of the filter in this block.

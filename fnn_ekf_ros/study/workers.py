@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Self
 from fnn_ekf_ros.errors import FnnEkfError
 
 SPAWN = get_context("spawn")
-"""How processes are started: anew, not forked."""
+"""Way in which processes are started: anew, not forked."""
 ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1"
 )
@@ -43,7 +43,7 @@ class WorkError(FnnEkfError):
 
 
 class _Failure(NamedTuple):
-    """What a process sends in place of an answer.
+    """Reply of a process that has no answer.
 
     Attributes:
         message: what is wrong.

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the localizer takes in, and what it gives back."""
+"""Inputs and outputs of the localizer."""
 
 from enum import IntEnum, StrEnum
 from typing import NamedTuple

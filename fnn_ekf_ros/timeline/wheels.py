@@ -34,7 +34,7 @@ restarts in less, and the slowest encoders send more often."""
 
 
 class BufferChange(NamedTuple):
-    """What an event changed in the buffer that took it in.
+    """Change of a buffer by an event.
 
     Attributes:
         changed_ns: first instant at which the inputs are different now [ns]; None: a duplicate.

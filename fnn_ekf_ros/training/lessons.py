@@ -38,7 +38,7 @@ return."""
 
 
 class Lesson(NamedTuple):
-    """What descent is given, and what becomes of its result.
+    """Inputs of descent, and the use of its result.
 
     Attributes:
         network: what learns.

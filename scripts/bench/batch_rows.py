@@ -8,12 +8,12 @@ from bench.results import Bar, Context, Line, Result, Row, ratio
 from bench.workers import Worker
 
 FILTERS = {"joint": Bar(6.0, at_least=True), "ekf": Bar(4.0, at_least=True), "ekf_gated": None}
-"""What the speed over the other commit is held against."""
+"""Bars of the speed over the other commit, by filter; None: shown only."""
 SHOWN = {"joint": "`joint`", "ekf": "`none`", "ekf_gated": "`none` with gate"}
 SIZES = {100: 100, 1000: 20, 10_000: 4}
 """Periods of a batch of so many robots."""
 REPEATS = {"joint": 1}
-"""How often a batch is run for one number; the others, which are quick, `MANY` times."""
+"""Runs of a batch for one number, by filter; the others, which are quick, are run `MANY` times."""
 MANY = 5
 MEMORY_ROBOTS, MEMORY_STEPS = 10_000, 10
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where and of what a benchmark was made."""
+"""Facts about a benchmark: machine, code, versions."""
 
 import importlib.metadata
 import os
@@ -20,7 +20,7 @@ CODE = (
     "scripts/child_processes.py",
     "requirements-bench.txt",
 )
-"""What decides the numbers; other files may be changed."""
+"""Files that decide the numbers; others may be changed."""
 
 
 def facts(measured: str, packages: Path, against: str, began: str) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is made for the benchmark in its build folder: packages and the tree of another commit."""
+"""Contents of the benchmark's build folder: packages and the tree of another commit."""
 
 import subprocess
 import sys

@@ -30,7 +30,7 @@ STAMPED = ("/compass", "/lrf_pose")
 """Topics whose messages have a stamp, which `stamped` sets."""
 LEFT_TICKS, RIGHT_TICKS = "/left_ticks", "/right_ticks"
 _STAMP_AT = 4
-"""Where the stamp is in the CDR of a message that begins with a header."""
+"""Offset of the stamp in the CDR of a message that begins with a header [bytes]."""
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 _TYPES = TYPESTORE.types
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is measured: series of numbers, ratios of them, and what they are held against."""
+"""Results: series of numbers, ratios of them, and the bars that they have to meet."""
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +12,7 @@ MET, MISSED = "met", "missed"
 
 
 class Bar(NamedTuple):
-    """What a median is held against.
+    """Limit that a median has to meet.
 
     Attributes:
         limit: the bar, in the unit of the line.
@@ -77,7 +77,7 @@ def ratio(what: str, above: Line, below: Line, bar: Bar | None = None) -> Line:
 
 
 class Result(NamedTuple):
-    """What became of a row.
+    """Result of a row.
 
     Attributes:
         lines: the lines of its table.
@@ -99,7 +99,7 @@ class Result(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What a row is given to measure with.
+    """Environment in which a row is measured.
 
     Attributes:
         root: the clone.

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a fault did to a run: errors before, during and after it, and what the node said."""
+"""Effect of a fault on a run: errors before, during and after it, and what the node said."""
 
 import math
 from collections.abc import Iterable, Sequence

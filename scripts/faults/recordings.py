@@ -24,11 +24,11 @@ from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.version import version
 
 CODE = ("fnn_ekf_ros", "scripts/fault_matrix.py", "scripts/faults", "scripts/child_processes.py")
-"""What decides how a run goes."""
+"""Files that decide how a run goes."""
 NOTE = "made_by"
 """The file beside a recording that names the code."""
 NEW = ".new"
-"""How the names of folders end that may be removed when nothing runs; they are hidden."""
+"""Ending of the names of hidden folders that may be removed when nothing runs."""
 
 
 def code_version(root: Path) -> str:

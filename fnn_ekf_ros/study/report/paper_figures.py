@@ -49,7 +49,7 @@ _FILTER_WIDTHS = {EKF: 1.3, PAPER: 1.8}
 
 
 class View(NamedTuple):
-    """What part of a run is shown, and where.
+    """Part of a run that is shown, and its place.
 
     Attributes:
         steps: takes the number of steps of a run; returns those that are drawn.

@@ -17,7 +17,7 @@ from fnn_ekf_ros.study.starts import FACTORS, RIGHT, Cell
 from fnn_ekf_ros.study.trials import Outcome
 
 Labels = Mapping[str, str]
-"""What a filter is called, by name."""
+"""Labels of the filters, by name."""
 AXES = ("x", "y", "theta")
 """Names of the axes of a pose."""
 GATES = (

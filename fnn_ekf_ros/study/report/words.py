@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the numbers of a study show, in words made of them."""
+"""Conclusions of a study, in words made of its numbers."""
 
 from collections.abc import Sequence
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the rivals share: their start, a step of the EKF, and wheel noise read from state noise.
+"""Parts that the rivals share: start, a step of the EKF, and wheel noise read from state noise.
 
 Arrays are as in `core.bank`: components first, then the filters, then the batch.
 """
