@@ -51,6 +51,7 @@ COMMANDS = {
     "train": Command("fnn_ekf_ros.commands.train", "learn the membership functions"),
     "study": Command("fnn_ekf_ros.commands.study", "Monte Carlo runs through every filter"),
 }
+"""The executables, by name."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -10,7 +10,9 @@ import re
 from pathlib import Path
 
 PACKAGE = "fnn_ekf_ros"
+"""Name of the package."""
 _ROOT = Path(__file__).resolve().parents[1]
+"""Folder that holds the package: the clone's, or that of installed packages."""
 
 
 def version() -> str:

@@ -26,8 +26,11 @@ from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.stopping import exit_by_signal
 
 ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the clone."""
 DOCS, BUILD = ROOT / "docs", ROOT / "build" / "bench"
+"""Folders for complete results and for those of a part."""
 NAME = "benchmarks"
+"""Name of the result files, without their endings."""
 AGAINST = "555235c"
 """The last commit before the core was rewritten."""
 ROWS = {
@@ -41,6 +44,7 @@ ROWS = {
         study_row.ROW,
     )
 }
+"""The rows by name, in the document's order."""
 
 
 def parsed(argv: Sequence[str] | None) -> argparse.Namespace:

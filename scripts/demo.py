@@ -33,16 +33,25 @@ from fnn_ekf_ros.ros.record import Recorder
 from fnn_ekf_ros.stopping import exit_by_signal
 
 ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the clone."""
 BAG, PARAMETERS, OUT = Path("bags/round"), Path("bags/round.yaml"), Path("demo")
+"""The recorded drive, the parameters of its robot, and the folder for results, in the clone."""
 PICTURE, NUMBERS = "tracks.png", "errors.json"
+"""Names of the result files."""
 RATE = 20
+"""Largest rate at which the bag is played [times real time]."""
 PATIENCE_S, STOPPING_S = 60.0, 10.0
+"""Longest waits: for a node to do something, and for a process to end before it is killed [s]."""
 WHEELS = ["encoder_source:=joint_states"]
 """Parameter for wheels with the robot's stamps: the result does not depend on when they arrive."""
 WRONG = ["process_noise_std:=[0.01, 0.0105]", "measurement_noise_std:=[0.5, 0.5, 0.67]"]
+"""Parameters of a wrong start: Q five times too small, R five times too large (std)."""
 PLAIN = ["adaptation:=none"]
+"""Parameter of the plain EKF."""
 PLAYED = ["joint_states", "compass", "lrf_pose"]
+"""Topics of the bag that are played."""
 LIVE = "FNN-EKF, live"
+"""Name of the live run in the table."""
 RUNS = {
     "dead reckoning": "wheels_only",
     "EKF": "ekf",

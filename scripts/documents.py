@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the clone."""
 DOCUMENTS = ("README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))))
+"""Names of the documents that have examples."""
 COMMAND = "python3 -m fnn_ekf_ros "
 """First words of a line of an example that is run; NAME stands for any command."""
 INDENTED = r"(?: {4}[^\n]*\n)+"
+"""Pattern of an indented block."""
 
 
 class Block(NamedTuple):

@@ -36,7 +36,9 @@ from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.stopping import exit_by_signal
 
 ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the clone."""
 OUT, TABLE, PICTURE = ROOT / "build" / "faults", ROOT / "docs" / "faults.md", "faults.png"
+"""Folder of the recordings, the document, and the name of the picture beside it."""
 SPAWN = multiprocessing.get_context("spawn")
 """Way in which processes are started: rclpy does not survive a fork."""
 RATE, TICKS_SHARE = 6.0, 0.5

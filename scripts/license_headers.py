@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the clone."""
 YEAR = 2026
 """Year of the first publication."""
 FOLDERS = ("fnn_ekf_ros", "launch", "scripts", "test")

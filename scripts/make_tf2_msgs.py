@@ -31,6 +31,7 @@ PACKAGE = """\
   <member_of_group>rosidl_interface_packages</member_of_group>
 </package>
 """
+"""Content of package.xml."""
 CMAKE = """\
 cmake_minimum_required(VERSION 3.16)
 project(tf2_msgs)
@@ -40,7 +41,9 @@ find_package(rosidl_default_generators REQUIRED)
 rosidl_generate_interfaces(${PROJECT_NAME} "msg/TFMessage.msg" DEPENDENCIES geometry_msgs)
 ament_package()
 """
+"""Content of CMakeLists.txt."""
 MESSAGE = "geometry_msgs/TransformStamped[] transforms\n"
+"""Content of msg/TFMessage.msg."""
 
 
 def copy_of_wheels(folder: Path) -> None:

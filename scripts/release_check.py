@@ -20,6 +20,7 @@ from clone import git
 from fnn_ekf_ros.errors import FnnEkfError
 
 ROOT = Path(__file__).resolve().parents[1]
+"""Folder of the clone."""
 UNFINISHED = re.compile("|".join(rf"\b{word.upper()}\b" for word in ("todo", "fixme", "xxx")))
 """Marks of unfinished work, written so that this file has none."""
 

@@ -57,6 +57,7 @@ PARAMETERS = LocalizerParameters(
     encoder_counts_per_revolution=500.0,
     encoder_bits=16,
 )
+"""Parameters of the localizer; encoder counters of 16 bits wrap often."""
 PERIOD_NS = round(PARAMETERS.period * 1e9)
 """The filter's period [ns]."""
 

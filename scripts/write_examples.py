@@ -30,13 +30,17 @@ from fnn_ekf_ros.recordings.bag_files import BagReader
 from fnn_ekf_ros.timeline.events import Level
 
 BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
+"""The demo's bag, and the parameters of its robot."""
 DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
 """Lines of the README's table, and the arguments of `replay` for each in scripts/demo.py."""
 MEASURED = ("bias.yaml", "late.yaml")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
+"""Line of the demo's table whose estimated noise is shown."""
 NUMBERS = r"(?:[\d.]+ \| ){3}[\d.]+"
+"""Pattern of the numbers in a line of the README's table."""
 LATE = ("in time", "late", "stamped on arrival", "waited for")
+"""Runs of the example with late fixes, in the order of the text."""
 
 
 class Shown(NamedTuple):
@@ -184,6 +188,7 @@ SHOWN = (
           rf"end of the demo:\n\n({INDENTED})", estimated_noise),
     Shown("docs/results.md", "late fixes", r"these give\s+(.*?)\.\n", late_fixes),
 )  # fmt: skip
+"""All parts of documents that are rewritten."""
 
 
 def shown_in(text: str, shown: Shown) -> re.Match[str]:

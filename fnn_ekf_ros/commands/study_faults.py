@@ -32,7 +32,9 @@ from fnn_ekf_ros.study.starts import RIGHT
 from fnn_ekf_ros.version import version
 
 NAME = "faults"
+"""Name of the subcommand."""
 SUMMARY = "faults of one sensor at a time: which sensor diagnostics name, and how soon"
+"""Its line in `study --help`."""
 RANGES = {
     "runs": Range(1, 1000),
     "quiet_runs": Range(0, 1000),

@@ -37,7 +37,9 @@ from fnn_ekf_ros.study.settings import study_localizer, write_settings
 from fnn_ekf_ros.version import version
 
 NAME = "rates"
+"""Name of the subcommand."""
 SUMMARY = "periods, rates and phases of the sensors: does accuracy depend on them"
+"""Its line in `study --help`."""
 RANGES = {"runs": Range(2, 10_000), "fixes": Range(4, 10_000), "seed": Range(0, 2**63 - 1)}
 """Ranges of the options; one run has no confidence interval."""
 

@@ -37,7 +37,9 @@ from fnn_ekf_ros.study.starts import ALL_CELLS, with_noise_factors
 from fnn_ekf_ros.version import version
 
 NAME = "real"
+"""Name of the subcommand."""
 SUMMARY = "recordings with a ground truth, from 25 starts with wrong noise"
+"""Its line in `study --help`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

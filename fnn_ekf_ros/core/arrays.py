@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+"""Array of double precision numbers."""
 BoolArray = NDArray[np.bool_]
+"""Array of truth values."""
 
 STATE_SIZE = 3
 """Components of the state x = [x, y, theta] (m, m, rad)."""

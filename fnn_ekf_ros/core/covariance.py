@@ -17,6 +17,7 @@ from fnn_ekf_ros.core.limits import (
 _ASYMMETRY = 1e-6
 """Largest difference of two mirrored entries of a correlation: more than rounding leaves."""
 _LARGEST = Constant(LARGEST_POSE_STD)
+"""Largest standard deviations of a pose (m, m, rad)."""
 _VAGUE = Constant([(0.1 * std) ** 2 for std in LARGEST_POSE_STD])
 """Variances from which on `limit_uncertainty` acts (m^2, m^2, rad^2)."""
 

@@ -76,6 +76,7 @@ from fnn_ekf_ros.core.suspect_filters import suspects_after
 from fnn_ekf_ros.core.window import push
 
 _ONES = Constant([1.0] * MEASUREMENT_SIZE)
+"""Change of R in use per change of the filter's own R where fixes report none, rows as in `Row`."""
 
 
 def step(

@@ -90,9 +90,13 @@ STANDSTILL = (1e-3, 1e-3)
 """Distance and rotation per nominal period below which nothing is learned (m, rad): fixes of a
 standing robot have too little noise."""
 _PRIOR = Constant(PRIOR_INFORMATION)
+"""`PRIOR_INFORMATION`, for any batch."""
 _LONGEST = Constant(LONGEST_MEMORY)
+"""`LONGEST_MEMORY`, for any batch."""
 _STANDSTILL = Constant(STANDSTILL)
+"""`STANDSTILL`, for any batch."""
 _R = PROCESS_SCALES.stop
+"""Number of components of Q: the rows of R stand behind them."""
 _SHARED_SCALES = (
     (Scale.POSITION, _R + Row.X, _R + Row.Y),
     (Scale.YAW, _R + Row.COMPASS_YAW, _R + Row.LRF_YAW),

@@ -25,11 +25,18 @@ PROCESS_SCALES = slice(Scale.DISTANCE, Scale.ROTATION + 1)
 # the first ten of these, made after the last step but one and predicted to now. The newer
 # forecasts, made after the last step, are stored elsewhere: no reading is compared with them.
 START, SETTLED_STAR, FAST_STAR = 0, 1, 1 + STAR_SIZE
+"""Filters of the start's noise, and the first ones of the stars of the settled and of the fast
+learner."""
 SLIP_FILTER = 1 + LEARNER_COUNT * STAR_SIZE
+"""Filter of the hypothesis slip."""
 _FORECAST_SIZE = 1 + STAR_SIZE
+"""Number of filters that make forecasts: the start's and the settled star."""
 _FILTERS = SLIP_FILTER + 1
+"""Number of filters that readings correct."""
 _OLDER = slice(_FILTERS, _FILTERS + _FORECAST_SIZE)
+"""Older forecasts, made after the last step but one."""
 FORESEEN_START, FORESEEN_STAR = _OLDER.start, _OLDER.start + 1
+"""Older forecasts by the start's filter, and the first one of those by the settled star."""
 JOINT_COUNT = _OLDER.stop
 """Number of filters that readings are compared with."""
 NEWER_COUNT = _FORECAST_SIZE
@@ -41,6 +48,7 @@ SUDDEN = np.array([FAST_STAR, SLIP_FILTER])
 STARS = np.array([star + k for k in range(STAR_SIZE) for star in (FORESEEN_STAR, FAST_STAR)])
 """Filters of the settled learner's forecast star and of the fast one's star, alternating."""
 _STAR_FACTOR, _SLIP_FACTOR = Constant(np.exp(STAR)), Constant(np.exp(SLIP))
+"""Factors on variances: of the filters of a star, and of slip."""
 
 
 def write_noise(

@@ -52,7 +52,9 @@ ALARM_LEAD = 6.0
 """Lead at which a sudden hypothesis has half of the weight [nats]: odds of 400 to 1, which chance
 rarely reaches; the fast learner is noisy."""
 _LOG_SLIP = Constant(SLIP)
+"""`SLIP`, for any batch."""
 _PRIOR = Constant(PRIOR_INFORMATION)
+"""`PRIOR_INFORMATION`, for any batch."""
 _SUDDEN_WEIGHTS = slice(Hypothesis.FAST, Hypothesis.SLIP + 1)
 """Weights of the sudden hypotheses, fast and slip."""
 

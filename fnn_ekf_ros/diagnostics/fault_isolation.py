@@ -92,6 +92,7 @@ class FaultIsolation(NamedTuple):
 
 
 NO_FAULT = FaultIsolation(None, (), (0.0,) * len(SUSPECTS))
+"""Result before the first period: no sensor is named or suspected, no lead [nats]."""
 
 
 def symptoms_of(readings: Readings) -> Symptoms:

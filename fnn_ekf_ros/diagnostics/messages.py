@@ -26,6 +26,7 @@ OTHERS = {
 }
 """The sensors that a sensor disagrees with."""
 PROCESS_NOISES = ("distance", "rotation")
+"""Components of Q, as the status `filter` calls them."""
 MEASUREMENT_NOISES = ("fixes' x", "fixes' y", "compass", "fixes' yaw")
 """The noises that adaptation moves, as the status `filter` calls them."""
 
@@ -138,6 +139,7 @@ class TransformMessage(StrEnum):
 DiagnosticMessage = (
     InputMessage | EncoderMessage | SensorMessage | FilterMessage | TimeMessage | TransformMessage
 )
+"""Any message of a status."""
 
 MESSAGES: dict[str, tuple[DiagnosticMessage, ...]] = {
     "encoders": (*InputMessage, *EncoderMessage),

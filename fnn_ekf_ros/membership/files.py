@@ -24,6 +24,7 @@ PACKAGED = ("initial", "published", "trained", "joint_initial", "joint")
 SMALLEST, LARGEST = 1e-15, 1e15
 """Sizes of numbers whose products double precision can hold."""
 _SIZE = f"a number, 0 or between {SMALLEST:g} and {LARGEST:g} in size"
+"""Condition on a number of a file, in words."""
 REMEDY = "write it again with `train --out`"
 """Advice in the messages of refusals."""
 _POSITIVE = ("position_unit", "yaw_unit", "change_limit")
@@ -34,6 +35,7 @@ _HEAD = """\
 # Membership functions of fnn_ekf_ros; x = {argument}. P, N, I, D: sigmoids
 # 1/(1+exp(-slope*(x-center))); Z, M: Gaussians exp(-(x-center)^2/(2*width^2)).
 """
+"""Comment at the top of a file."""
 MISMATCH = "C_hat - S in the units below"
 """Argument of the paper's sets, as the head of a file names it."""
 EXPLAINED = "u in log variance"

@@ -23,6 +23,7 @@ GROUND_TRUTH = "ground_truth"
 CMD_VEL = "cmd_vel"
 CLOCK = "/clock"
 TF = "/tf"
+"""Names of the topics."""
 
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
@@ -35,8 +36,10 @@ POSE_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 TWIST_TYPE = "geometry_msgs/msg/Twist"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
+"""Names of the message types."""
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+"""Form of a topic's name."""
 _LONGEST_NAME = 247
 """RMW_TOPIC_MAX_NAME_LENGTH [characters]."""
 

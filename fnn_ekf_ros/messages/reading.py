@@ -35,10 +35,12 @@ from fnn_ekf_ros.timeline.events import (
 from fnn_ekf_ros.timeline.frames import Transform
 
 _TICKED = {LEFT_TICKS: Wheel.LEFT, RIGHT_TICKS: Wheel.RIGHT}
+"""Wheels by the topic of their ticks."""
 _A_COVARIANCE = (
     f"a symmetric, positive definite covariance with {SMALLEST_STD**2:g} to {LARGEST_STD**2:g} on "
     "its diagonal"
 )
+"""Condition on a covariance, in words; diagonals in m^2 and rad^2."""
 
 
 _PLANAR_NUMBERS = np.arange(36).reshape(6, 6)[PLANAR]

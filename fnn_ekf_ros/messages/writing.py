@@ -30,11 +30,13 @@ from fnn_ekf_ros.timeline.events import Estimate, Status
 UNUSED_VARIANCE = 1e-9
 """Variance published for what a planar robot does not do: z, roll, pitch, sideways."""
 _JOINT_NUMBERS = len(SCALES) + len(HYPOTHESES)
+"""Number of fields of `~/noise` that only mode joint has."""
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 """Places of x, y and yaw in a 6x6 covariance."""
 
 
 _UNUSED = np.diag(np.full(6, UNUSED_VARIANCE))
+"""Covariance before what a planar robot does is filled in, 6x6 (m^2, rad^2)."""
 
 
 class Message(NamedTuple):
@@ -65,6 +67,7 @@ _NOISE_LAYOUT = Message(
         "data_offset": 0,
     },
 )
+"""Layout of `~/noise`: one dimension, labeled by the names of its numbers."""
 
 
 def odometry(estimate: Estimate, frame_id: str, base_frame: str) -> Message:

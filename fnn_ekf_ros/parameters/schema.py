@@ -24,7 +24,9 @@ NO_FILE = "none"
 """Value of a file parameter for no file."""
 
 ParameterValue = bool | int | float | str | tuple[float, ...]
+"""Value of a parameter."""
 ParametersT = TypeVar("ParametersT", bound="Parameters")
+"""A dataclass of parameters."""
 
 
 class ParameterError(FnnEkfError):

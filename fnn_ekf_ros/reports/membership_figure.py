@@ -55,6 +55,7 @@ AXES = {
 """Labels of the axes by the functions' argument."""
 # Increase, maintain, decrease, and the sets that lead there.
 BLUE, GREEN, RED, GREY = "#0072B2", "#009E73", "#D55E00", "#777777"
+"""Colors that are told apart without seeing red or green (Okabe and Ito), and a gray."""
 RULE_COLORS = (BLUE, GREEN, RED)
 """Colors of the rules increase, maintain, decrease, and of the sets that lead to them."""
 

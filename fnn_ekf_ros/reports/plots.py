@@ -26,6 +26,7 @@ DIRECTIONS = 24
 MOST_ELLIPSES = 3000
 """Largest number of poses around which a band is drawn: more take long and look the same."""
 TRUTH_COLOR, FIX_COLOR, HIGHLIGHT_COLOR = "0.2", "0.62", "tab:red"
+"""Colors of ground truth, fixes and the highlighted run."""
 COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:cyan")
 """Colors of the runs that are not highlighted."""
 QUIET = {"lw": 1.0, "alpha": 0.65, "zorder": 2.5}

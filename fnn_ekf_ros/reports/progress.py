@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 T = TypeVar("T")
+"""Item of an iterable."""
 
 
 def with_progress(items: Iterable[T], total: int, label: str) -> Iterable[T]:

@@ -16,6 +16,7 @@ from rclpy.node import Node  # isort: skip
 from rclpy.parameter import Parameter  # isort: skip
 
 PreparedT = TypeVar("PreparedT")
+"""Result of preparing a change."""
 
 
 class Changes(Generic[ParametersT, PreparedT]):

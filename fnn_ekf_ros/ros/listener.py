@@ -17,6 +17,7 @@ from fnn_ekf_ros.stopping import STOPPED
 QUEUE_DEPTH = 1000
 """Depth of the queue of the topic that is listened to [messages]."""
 HEADER = "std_msgs/Header"
+"""Type of the field that has the stamp, as message classes name it."""
 
 
 class StampListener:

@@ -211,6 +211,7 @@ EPILOG = (
     "~/enable_adaptation. Parameters: share/fnn_ekf_ros/config/localizer.yaml lists them; "
     "wheel_radius, wheel_separation and encoder_counts_per_revolution must be set."
 )
+"""Last paragraph of `localizer --help`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

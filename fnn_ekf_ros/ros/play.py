@@ -26,6 +26,7 @@ from rclpy.node import Node  # isort: skip
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # isort: skip
 
 NODE_NAME = "player"
+"""Name of the node."""
 QUEUE_DEPTH = 1000
 """Depth of the queue of each topic [messages]."""
 LONGEST_SLEEP_S = 0.1

@@ -18,6 +18,7 @@ from fnn_ekf_ros.recordings.bag_writer import BagWriter
 from fnn_ekf_ros.ros.build import message_class
 
 QUEUE_DEPTH = 1000
+"""Depth of the queue of each topic [messages]."""
 
 
 class Recorder:

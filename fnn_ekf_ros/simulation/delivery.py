@@ -29,6 +29,7 @@ from fnn_ekf_ros.simulation.spoiling import SPOILERS, spoiled, with_stamp
 STEP_NS = round(STEP_S * 1e9)
 """Length of a step of the simulation [ns]."""
 FaultT = TypeVar("FaultT", bound=Fault)
+"""A kind of fault."""
 
 
 class Sent(NamedTuple):

@@ -28,6 +28,7 @@ from fnn_ekf_ros.simulation.delivery import step_at
 from fnn_ekf_ros.simulation.robot import EQUAL_WHEELS, RobotState
 
 FaultT = TypeVar("FaultT", bound=Fault)
+"""A kind of fault."""
 
 
 class _Timed(NamedTuple):

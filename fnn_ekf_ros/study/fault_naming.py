@@ -51,6 +51,7 @@ START_NS = 3 * 10**9
 """ROS time at which a run begins [ns]: ROS time 0 means no time."""
 
 C, L = "compass", "lrf_pose"
+"""Topics of the compass and of the fixes."""
 
 
 class FaultCase(NamedTuple):

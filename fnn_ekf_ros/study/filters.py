@@ -54,6 +54,7 @@ NO_GATE: dict[str, Any] = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 SET_BY_NAMES = frozenset({"adaptation", "membership_file", "process_membership_file", "inference"})
 """Parameters that the filters' names decide."""
 PAPER, PAPER_TRAINED, CENTROID = "rq_published", "rq_trained", "rq_centroid"
+"""Names of the paper's filter with its published and with learned sets, and of its fuzzy EKF."""
 
 
 class LocalizerFilter(NamedTuple):

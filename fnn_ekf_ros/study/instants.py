@@ -48,6 +48,7 @@ from fnn_ekf_ros.study.recording import Estimates, Start, of_runs
 from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Drive
 
 TimeArray = NDArray[np.int64]
+"""Array of times [ns]."""
 
 NS_PER_S = 10**9
 """Nanoseconds per second."""

@@ -63,6 +63,7 @@ class Estimates(NamedTuple):
 
 
 ValueT = TypeVar("ValueT", Recording, Start)
+"""Recording or start."""
 
 
 def of_runs(value: ValueT, some: slice) -> ValueT:

@@ -58,7 +58,7 @@ class Request(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """Answer to a task.
+    """Answer to a request.
 
     Attributes:
         outcome: of the filter in this block.

@@ -29,6 +29,7 @@ _MILLISECOND_NS = 10**6
 """Readings of different sensors within the same one share an epoch [ns]."""
 
 Reading = CompassYaw | PoseFix
+"""One fix or one compass value."""
 
 
 class Instant(NamedTuple):

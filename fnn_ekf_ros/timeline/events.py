@@ -111,6 +111,7 @@ class Rejected(NamedTuple):
 
 
 Event = WheelCount | CompassYaw | PoseFix | PoseReset
+"""Content of a message, with its stamp in ROS time."""
 
 
 class Level(IntEnum):

@@ -26,6 +26,7 @@ from fnn_ekf_ros.timeline.filter_model import wheel_geometry
 from fnn_ekf_ros.timeline.wheels import BufferChange, UnwrappedWheel
 
 EventT = TypeVar("EventT", CompassYaw, PoseFix, PoseReset)
+"""Event of one kind."""
 
 
 class Measured(NamedTuple):

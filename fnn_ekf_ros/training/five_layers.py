@@ -23,8 +23,11 @@ JOINT_SCALE = 0.5
 of order 1."""
 
 _SLOPES = [index for index, name in enumerate(FuzzySets._fields) if name.endswith("_slope")]
+"""Places of the slopes among the parameters."""
 _MAINTAIN_WIDTH = FuzzySets._fields.index("maintain_width")
+"""Place of the width of M among the parameters."""
 _ZERO_WIDTH = FuzzySets._fields.index("zero_width")
+"""Place of the width of Z among the parameters."""
 
 
 def as_sets(parameters: FloatArray) -> FuzzySets:

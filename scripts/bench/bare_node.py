@@ -26,6 +26,7 @@ from std_msgs.msg import Int32
 from bench.rates import PERIOD_NS
 
 NAME = "bare"
+"""Name of the node."""
 INPUTS = {
     "compass": Imu,
     "lrf_pose": PoseWithCovarianceStamped,
@@ -33,7 +34,9 @@ INPUTS = {
     "left_ticks": Int32,
     "right_ticks": Int32,
 }
+"""Types of the messages that it takes, by topic: those of the localizer."""
 CLOSES = "right_ticks"
+"""Topic whose messages close a period, as in the localizer."""
 
 
 class BareNode(Node):  # type: ignore[misc]

@@ -10,12 +10,15 @@ from bench.workers import Worker
 FILTERS = {"joint": Bar(6.0, at_least=True), "ekf": Bar(4.0, at_least=True), "ekf_gated": None}
 """Bars of the speed over the other commit, by filter; None: shown only."""
 SHOWN = {"joint": "`joint`", "ekf": "`none`", "ekf_gated": "`none` with gate"}
+"""Names of the filters in the table."""
 SIZES = {100: 100, 1000: 20, 10_000: 4}
 """Periods of a batch of so many robots."""
 REPEATS = {"joint": 1}
 """Runs of a batch for one number, by filter; the others, which are quick, are run `MANY` times."""
 MANY = 5
+"""Runs of a batch for one number, but for those in `REPEATS`."""
 MEMORY_ROBOTS, MEMORY_STEPS = 10_000, 10
+"""Size of the batch whose memory is measured: robots, and periods [375 ms]."""
 
 HOW = """
 CPU per robot and step of batches of 100, 1000 and 10 000 robots (fixes and compass measured in
@@ -29,11 +32,13 @@ difference of some percent. "Faster" is the other commit's time over this one's.
 The numbers say how long a study takes. They hold for batches in which nothing is rejected; a
 batch that has a rejected reading in it costs more.
 """
+"""What row `batch` measures and how, for the document."""
 MEMORY_HOW = """
 Largest resident memory (VmHWM) of a process that makes a recording of 10 000 robots and 10
 periods and runs one filter over it, Python, numpy, recording and track included. Every number is
 that of a new process. The part of recording and track grows with the number of periods.
 """
+"""What row `batch_memory` measures and how, for the document."""
 
 
 def measure(context: Context) -> Result:
@@ -83,4 +88,6 @@ def measure_memory(context: Context) -> Result:
 
 
 ROW = Row("batch", "Batches of robots", HOW, measure)
+"""Row `batch`."""
 MEMORY_ROW = Row("batch_memory", "Memory of a batch", MEMORY_HOW, measure_memory)
+"""Row `batch_memory`."""

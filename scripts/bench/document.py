@@ -17,6 +17,7 @@ median of the rounds, the least and the most. A ratio is taken within each round
 system time of all threads of a process, so that other work on the machine disturbs it less than
 it disturbs elapsed time; it still does, through caches and clock rates: compare the load averages.
 """
+"""Beginning of the document."""
 
 
 def document(facts: Mapping[str, Any], rows: Sequence[Row], results: Mapping[str, Result]) -> str:

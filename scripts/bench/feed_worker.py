@@ -23,6 +23,7 @@ GRID_NS = 1_500_000_000
 PHASE_NS = 2_500_000
 """Ticks are sent so long after a multiple of 5 ms: never at the end of a period, which is one."""
 PATIENCE_S = 30.0
+"""Longest wait for the node to appear [s]."""
 
 
 class Feeder(Node):  # type: ignore[misc]

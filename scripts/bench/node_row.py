@@ -16,8 +16,11 @@ from bench.workers import PATIENCE_S, Worker, environment
 from fnn_ekf_ros.errors import FnnEkfError
 
 CPU_BAR, MEMORY_BAR, DELAY_BAR = Bar(1.3), Bar(1.15), Bar(5.0)
+"""Bars of the ratios of CPU and of memory, and of the delay's median [ms]."""
 LOCALIZER, BARE = "localizer", "bare node"
+"""Names of the two nodes in the table."""
 SETTLE_S = 6.0
+"""Time from the first message to the window that is measured [s]: Python has started by then."""
 FEWEST = 0.98
 """Share of the periods that have to have an odom, or the run says nothing."""
 
@@ -41,6 +44,7 @@ published it (`received_timestamp` of the middleware). It contains two trips bet
 the bare node's does, and the work on a compass reading and a fix that were sent just before.
 "After the end" is from the end of the period, with the wait for the ticks.
 """
+"""What the row measures and how, for the document."""
 
 
 def measure(context: Context) -> Result:
@@ -123,3 +127,4 @@ def _once(context: Context, kind: str, domain: int, window_s: float) -> Any:
 
 
 ROW = Row("node", "The live node, and from the end of a period to `odom`", HOW, measure)
+"""Row `node`."""

@@ -15,6 +15,7 @@ from bench.results import Context
 from fnn_ekf_ros.errors import FnnEkfError
 
 REQUIREMENTS = "requirements-bench.txt"
+"""File with the packages that only the benchmark uses."""
 
 
 def packages_folder(build: Path) -> Path:

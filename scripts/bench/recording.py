@@ -19,20 +19,26 @@ from bench.results import Context
 from bench.robot import GEOMETRY, MEASUREMENT_STD, drive
 
 START_NS = 3 * 10**9
+"""ROS time at which the recording begins [ns]: ROS time 0 means no time."""
 SEED = 1
+"""Seed of the recording, fixed: every run measures the same work."""
 TYPES = {
     "/compass": "sensor_msgs/msg/Imu",
     "/lrf_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/left_ticks": "std_msgs/msg/Int32",
     "/right_ticks": "std_msgs/msg/Int32",
 }
+"""Types of the messages, by topic."""
 STAMPED = ("/compass", "/lrf_pose")
 """Topics whose messages have a stamp, which `stamped` sets."""
 LEFT_TICKS, RIGHT_TICKS = "/left_ticks", "/right_ticks"
+"""Topics of the wheels."""
 _STAMP_AT = 4
 """Offset of the stamp in the CDR of a message that begins with a header [bytes]."""
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+"""Types of ROS 2 Jazzy, for rosbags."""
 _TYPES = TYPESTORE.types
+"""Message classes by the names of their types."""
 
 
 class Sent(NamedTuple):

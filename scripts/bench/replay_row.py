@@ -12,8 +12,11 @@ from bench.robot import GEOMETRY
 from bench.workers import Worker
 
 BARS = {"joint": Bar(12.0), "none": Bar(8.0)}
+"""Bars of the CPU of `replay` over that of a copy, by mode."""
 COPY = "copy"
+"""Name of the copy in the table."""
 HOUR_S, QUARTER_S = 3600, 900
+"""Lengths of the recording and of the short one, for memory [s]."""
 
 HOW = """
 `replay` of an hour of driving: ticks of each wheel at 50 Hz, a compass at 10 Hz, fixes at 5 Hz,
@@ -27,6 +30,7 @@ nothing.
 The ratio says how far `replay` is from the least that a tool on rosbags needs. Most of it is the
 cost of a message: 115 come in a second, of which 15 are readings that take a filter step.
 """
+"""What the row measures and how, for the document."""
 
 
 def measure(context: Context) -> Result:
@@ -75,3 +79,4 @@ def _once(context: Context, name: str, source: Path) -> Any:
 
 
 ROW = Row("replay", "An hour through `replay`", HOW, measure)
+"""Row `replay`."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 MET, MISSED = "met", "missed"
+"""Outcomes of a bar."""
 
 
 class Bar(NamedTuple):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+"""Array of double precision numbers."""
 
 GEOMETRY: dict[str, Any] = {
     "wheel_radius": 0.025,
@@ -17,6 +18,7 @@ GEOMETRY: dict[str, Any] = {
 }
 """Parameters of the localizer that have no usable default."""
 PERIOD_S = 0.375
+"""The filter's period [s]."""
 SLIP_STD = (0.05, 0.05235987755982989)
 """Of distance and rotation for 375 ms; the localizer's default Q (m, rad)."""
 MEASUREMENT_STD = (0.1, 0.1, 0.1341640786499874, 0.1341640786499874)

@@ -14,9 +14,13 @@ from bench.workers import environment
 from fnn_ekf_ros.errors import FnnEkfError
 
 BAR = Bar(1.7, at_least=True)
+"""Bar of the time of one job over that of two."""
 JOBS = (1, 2)
+"""Numbers of processes that are compared."""
 OPTION = "--jobs"
+"""Option of `study grid` for the number of processes."""
 QUICK_SIZE = ("--runs", "5", "--steps", "50")
+"""Size of the study with `--quick`."""
 
 HOW = """
 Elapsed time of `study grid`, with the 100 runs of 800 periods that it has if nothing else is said,
@@ -26,6 +30,7 @@ figures. "Faster" is the time of one job over that of two. Imports and figures a
 Anything else that runs on the machine adds to the elapsed time. The ratio of two cores says
 nothing about eight.
 """
+"""What the row measures and how, for the document."""
 
 
 def measure(context: Context) -> Result:
@@ -63,3 +68,4 @@ def _study(context: Context, *words: str) -> str:
 
 
 ROW = Row("study", "A study on two cores", HOW, measure)
+"""Row `study`."""

@@ -12,7 +12,9 @@ from filterpy.kalman import ExtendedKalmanFilter
 from bench.robot import MEASUREMENT_STD, SLIP_STD, FloatArray
 
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+"""Measurement matrix: x, y, and yaw twice."""
 Q = np.diag(np.square(SLIP_STD))
+"""Process noise of a period (m^2, rad^2)."""
 
 
 class RobotEkf(ExtendedKalmanFilter):  # type: ignore[misc]

@@ -23,7 +23,9 @@ from bench.results import Context
 from fnn_ekf_ros.errors import FnnEkfError
 
 SCRIPTS = Path(__file__).resolve().parents[1]
+"""Folder of the scripts."""
 PATIENCE_S = 10.0
+"""Longest wait for a process to end before it is killed [s]."""
 
 
 class Worker:

@@ -27,8 +27,11 @@ from fnn_ekf_ros.parameters.faults import TOPICS
 from fnn_ekf_ros.ros.record import Recorder
 
 SEED = 1
+"""Seed of `fake_robot`: the runs of all rows have the same noise."""
 PATIENCE_S = 60.0
+"""Longest wait for a process to appear, or to end before it is killed [s]."""
 GEOMETRY = ("wheel_radius:=0.025", "wheel_separation:=0.6", "encoder_counts_per_revolution:=500.0")
+"""Parameters of the localizer that have no usable default: those of `fake_robot`."""
 DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <participant profile_name="soon" is_default_profile="true"><rtps><builtin><discovery_config>

@@ -8,6 +8,7 @@ from typing import Any
 from faults.scenarios import LASTS_S, ONSET_S, FaultScenario
 
 BOTH = ("compass", "lrf_pose")
+"""Topics of both sensors with stamps."""
 
 
 def once(fault: str, **keys: Any) -> dict[str, Any]:
@@ -39,10 +40,12 @@ def row(name: str, meaning: str, *timeline: dict[str, Any], **keys: Any) -> Faul
 
 
 LATE = lasting("delay", topic="lrf_pose", size=0.15)
+"""Fault of fixes that come 0.15 s late."""
 UNDISTURBED = {
     False: row("no fault", "joint_states"),
     True: row("no fault, ticks", "ticks, stamped on arrival", ticks=True),
 }
+"""Rows without a fault, by whether the encoders are ticks."""
 ROWS: tuple[FaultScenario, ...] = (
     *UNDISTURBED.values(),
     row("slip", "wet or smooth ground", lasting("slip", factor=5.0)),
@@ -124,3 +127,4 @@ ROWS: tuple[FaultScenario, ...] = (
     row("clock: 10 s back", "the same, or a recording loops", once("clock_jump", size=-10.0)),
     row("clock: 0.5 s back", "NTP sets the clock", once("clock_jump", size=-0.5)),
 )  # fmt: skip
+"""All rows, in the document's order."""
