@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         },
     )
 
-    timed = messages_of(table, fixes, Columns(truth, fix, compass), parameters)
+    timed = messages_of(table, fixes, Columns(truth=truth, fixes=fix, compass=compass), parameters)
     for source in {table.path: table, fixes.path: fixes}.values():
         backwards = int(np.sum(np.diff(source.column("t")) < 0.0))
         if backwards:

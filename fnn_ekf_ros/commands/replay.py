@@ -103,7 +103,7 @@ def _warm_start(parameters: LocalizerParameters) -> SavedState | None:
     if not parameters.warm_start:
         return None
     try:
-        return read_state(Path(parameters.state_file), parameters)[0]
+        return read_state(Path(parameters.state_file), parameters).state
     except SavedStateError as error:
         print(f"replay: {error}; starting without it", file=sys.stderr)
         return None

@@ -140,7 +140,7 @@ def _size(arguments: argparse.Namespace) -> Size:
             f"--runs {arguments.runs} --steps {arguments.steps}: expected {MOST_PERIODS} periods "
             "of all runs together at most, which are kept in memory"
         )
-    return Size(arguments.steps, arguments.runs, arguments.seed)
+    return Size(steps=arguments.steps, runs=arguments.runs, seed=arguments.seed)
 
 
 def _filter_names(words: str | None, known: dict[str, StudyFilter], study: Study) -> list[str]:

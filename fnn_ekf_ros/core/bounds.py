@@ -5,10 +5,30 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import Constant, FloatArray
+
+
+class Limits(NamedTuple):
+    """Smallest and largest variances.
+
+    Attributes:
+        smallest: `(n,)` (m^2 or rad^2).
+        largest: `(n,)` (m^2 or rad^2).
+    """
+
+    smallest: Constant
+    largest: Constant
+
+    def clipped(self, variances: FloatArray) -> FloatArray:
+        """Return variances `(n, ...)` clipped to the limits."""
+        behind = variances.ndim - 1
+        return np.minimum(
+            np.maximum(variances, self.smallest.behind(behind)), self.largest.behind(behind)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,31 +49,28 @@ class NoiseBounds:
 
     def within(self, Q: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return Q `(2, ...)` and R `(4, ...)` clipped to the limits."""
-        low_Q, high_Q, low_R, high_R = _limits(self)
-        n = Q.ndim - 1
-        return (
-            np.minimum(np.maximum(Q, low_Q.behind(n)), high_Q.behind(n)),
-            np.minimum(np.maximum(R, low_R.behind(n)), high_R.behind(n)),
-        )
+        return _process_limits(self).clipped(Q), _measurement_limits(self).clipped(R)
 
-    def all_limits(self) -> tuple[Constant, Constant]:
-        """Return the smallest and the largest variances `(6,)`, of Q and then of R."""
+    def all_limits(self) -> Limits:
+        """Return the limits `(6,)` of Q and then of R."""
         return _all_limits(self)
 
 
 @lru_cache(maxsize=64)
-def _all_limits(bounds: NoiseBounds) -> tuple[Constant, Constant]:
-    return (
-        Constant((*bounds.process_min, *bounds.measurement_min)),
-        Constant((*bounds.process_max, *bounds.measurement_max)),
+def _all_limits(bounds: NoiseBounds) -> Limits:
+    return Limits(
+        smallest=Constant((*bounds.process_min, *bounds.measurement_min)),
+        largest=Constant((*bounds.process_max, *bounds.measurement_max)),
     )
 
 
 @lru_cache(maxsize=64)
-def _limits(bounds: NoiseBounds) -> tuple[Constant, Constant, Constant, Constant]:
-    return (
-        Constant(bounds.process_min),
-        Constant(bounds.process_max),
-        Constant(bounds.measurement_min),
-        Constant(bounds.measurement_max),
+def _process_limits(bounds: NoiseBounds) -> Limits:
+    return Limits(smallest=Constant(bounds.process_min), largest=Constant(bounds.process_max))
+
+
+@lru_cache(maxsize=64)
+def _measurement_limits(bounds: NoiseBounds) -> Limits:
+    return Limits(
+        smallest=Constant(bounds.measurement_min), largest=Constant(bounds.measurement_max)
     )

@@ -254,9 +254,9 @@ def _log_mean(w: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
 def _log_limits(state: JointState, bounds: NoiseBounds) -> tuple[FloatArray, FloatArray]:
     """Return the smallest and the largest theta, `(4, 1, *batch)`, within the bounds."""
     base = np.concatenate([state.process_noise, state.measurement_noise])
-    smallest, largest = bounds.all_limits()
-    low = np.log(smallest.behind(base.ndim - 1) / base)
-    high = np.log(largest.behind(base.ndim - 1) / base)
+    limits = bounds.all_limits()
+    low = np.log(limits.smallest.behind(base.ndim - 1) / base)
+    high = np.log(limits.largest.behind(base.ndim - 1) / base)
     for scale, one, other in _SHARED_SCALES:
         low[scale] = np.maximum(low[one], low[other])
         high[scale] = np.minimum(high[one], high[other])

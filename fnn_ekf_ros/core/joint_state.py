@@ -206,8 +206,10 @@ def stepped(state: JointState, steps: BoolArray) -> JointState:
 
 def _log_scale_in_use(state: JointState, weights: FloatArray) -> FloatArray:
     """Return the mean of the hypotheses' theta, `(4, *batch)`, by their weights `(4, *batch)`."""
-    _, settled, fast, slip = weights
-    theta = (settled + slip) * state.log_scale[:, SETTLED] + fast * state.log_scale[:, FAST]
+    slip = weights[Hypothesis.SLIP]
+    settled = weights[Hypothesis.SETTLED] + slip  # slip is relative to the settled noise
+    fast = weights[Hypothesis.FAST]
+    theta = settled * state.log_scale[:, SETTLED] + fast * state.log_scale[:, FAST]
     theta += slip * _LOG_SLIP.behind(theta.ndim - 1)
     return np.asarray(theta)
 

@@ -91,7 +91,7 @@ class FaultIsolation(NamedTuple):
     sizes: WheelSizes | None = None
 
 
-NO_FAULT = FaultIsolation(None, (), (0.0,) * len(SUSPECTS))
+NO_FAULT = FaultIsolation(named=None, suspects=(), leads=(0.0,) * len(SUSPECTS))
 """Result before the first period: no sensor is named or suspected, no lead [nats]."""
 
 
@@ -149,7 +149,9 @@ def isolate_fault(recent: RecentPeriods, wheel_separation: float) -> FaultIsolat
     if not abnormal:
         return NO_FAULT._replace(leads=leads)
     suspects = _in_order(abnormal | suspected)
-    return FaultIsolation(suspects[0] if len(suspects) == 1 else None, suspects, leads)
+    return FaultIsolation(
+        named=suspects[0] if len(suspects) == 1 else None, suspects=suspects, leads=leads
+    )
 
 
 def _by_leads(recent: RecentPeriods) -> FaultIsolation:
@@ -158,11 +160,11 @@ def _by_leads(recent: RecentPeriods) -> FaultIsolation:
     by_lead = sorted(((lead, sensor) for sensor, lead in _by_sensor(leads)), reverse=True)
     (largest, first), (_, second) = by_lead[:2]
     if first is Sensor.ENCODERS and recent.agreeing >= AGREEING:
-        return FaultIsolation(None, (Sensor.ENCODERS, Sensor.LRF_POSE), leads)
+        return FaultIsolation(named=None, suspects=(Sensor.ENCODERS, Sensor.LRF_POSE), leads=leads)
     if all(_leader(each) is first for each in (leads, *(old.leads for old in recent.leads))):
-        return FaultIsolation(first, (first,), leads)
+        return FaultIsolation(named=first, suspects=(first,), leads=leads)
     close = {sensor for lead, sensor in by_lead if largest - lead < CLEAR_LEAD}
-    return FaultIsolation(None, _in_order({first, second} | close), leads)
+    return FaultIsolation(named=None, suspects=_in_order({first, second} | close), leads=leads)
 
 
 def _by_sensor(leads: tuple[float, ...]) -> Iterator[tuple[Sensor, float]]:

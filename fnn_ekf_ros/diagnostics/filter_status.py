@@ -89,7 +89,9 @@ def filter_status(parameters: LocalizerParameters, facts: FilterFacts) -> Status
     state, failure = facts.state, facts.failures.new
     values = _noise_values(parameters, facts) + _failure_values(facts.failures)
     if isinstance(state, AwaitingStart):
-        return Status("filter", Level.WARN, failure or join(facts.missing), values)
+        return Status(
+            name="filter", level=Level.WARN, message=failure or join(facts.missing), values=values
+        )
     values += (
         ("position std [m]", f"{_position_std(state):.3g}"),
         ("yaw std [rad]", f"{_yaw_std(state):.3g}"),
@@ -111,8 +113,13 @@ def filter_status(parameters: LocalizerParameters, facts: FilterFacts) -> Status
         *_at_bounds(parameters, facts.mode, state),
     ]
     if not troubles:
-        return Status("filter", Level.OK, FilterMessage.RUNNING, values)
-    return Status("filter", Level.ERROR if lost else Level.WARN, join(troubles), values)
+        return Status(name="filter", level=Level.OK, message=FilterMessage.RUNNING, values=values)
+    return Status(
+        name="filter",
+        level=Level.ERROR if lost else Level.WARN,
+        message=join(troubles),
+        values=values,
+    )
 
 
 def _noise_values(parameters: LocalizerParameters, facts: FilterFacts) -> Values:

@@ -102,9 +102,9 @@ class RecentPeriods(NamedTuple):
 def begin_recent(end_ns: int) -> RecentPeriods:
     """Return what is kept when a filter starts, or its pose is set, at an instant [ns]."""
     return RecentPeriods(
-        SensorReadings(),
-        end_ns,
-        end_ns,
+        readings=SensorReadings(),
+        fix_ns=end_ns,
+        yaw_ns=end_ns,
         leads=(Leads(end_ns, (0.0,) * len(SUSPECTS)),),
     )
 

@@ -299,21 +299,29 @@ class DiagnosticsReport:
         last_ns = self._heard[sensor].last_ns
         values = self._counts(sensor)
         if sensor in self._new_refusal:
-            return Status(sensor, Level.WARN, self._new_refusal[sensor], values)
+            return Status(
+                name=sensor, level=Level.WARN, message=self._new_refusal[sensor], values=values
+            )
         if last_ns is None:
             level = Level.WARN if expected else Level.OK
             message = InputMessage.NONE_YET if expected else SensorMessage.NOT_USED
-            return Status(sensor, level, message, values)
+            return Status(name=sensor, level=level, message=message, values=values)
         age_ns = max(now_ns - last_ns, 0)
         values = (("age [s]", f"{age_ns * 1e-9:.3f}"), *values)
         stood_ns = self._stood_ns if sensor is Sensor.LRF_POSE else 0
         if age_ns > STALE_NS:
             if age_ns - stood_ns > STALE_NS:
-                return Status(sensor, Level.WARN, InputMessage.SILENT, values)
-            return Status(sensor, Level.OK, SensorMessage.STANDING, values)
+                return Status(
+                    name=sensor, level=Level.WARN, message=InputMessage.SILENT, values=values
+                )
+            return Status(
+                name=sensor, level=Level.OK, message=SensorMessage.STANDING, values=values
+            )
         if self._newly_left_out[sensor]:
-            return Status(sensor, Level.WARN, SensorMessage.TOO_FAST, values)
-        return Status(sensor, Level.OK, InputMessage.RECEIVED, values)
+            return Status(
+                name=sensor, level=Level.WARN, message=SensorMessage.TOO_FAST, values=values
+            )
+        return Status(name=sensor, level=Level.OK, message=InputMessage.RECEIVED, values=values)
 
     def _counts(self, sensor: Sensor) -> Values:
         """Return the values of any sensor but for the age of its last message."""

@@ -83,5 +83,5 @@ class TimeStatus:
         trouble = self._new_jump or self._new_trouble
         self._new_trouble = self._new_jump = ""
         if trouble:
-            return Status("time", Level.WARN, trouble, values)
-        return Status("time", Level.OK, TimeMessage.IN_ORDER, values)
+            return Status(name="time", level=Level.WARN, message=trouble, values=values)
+        return Status(name="time", level=Level.OK, message=TimeMessage.IN_ORDER, values=values)

@@ -182,7 +182,14 @@ class Localizer:
             pose, covariance = last.state.mean, last.state.covariance
         if pose is None:
             return None
-        return SavedState(last.stamp_ns, pose, covariance, *self._noise())
+        process_noise, measurement_noise = self._noise()
+        return SavedState(
+            stamp_ns=last.stamp_ns,
+            pose=pose,
+            covariance=covariance,
+            process_noise=process_noise,
+            measurement_noise=measurement_noise,
+        )
 
     def reset(self) -> None:
         """Forget the pose and the adapted noise, also those of a warm start."""

@@ -47,6 +47,18 @@ class SavedStateError(FnnEkfError):
     """A file that no localizer can start from."""
 
 
+class ReadState(NamedTuple):
+    """The state that a file holds.
+
+    Attributes:
+        state: the state.
+        saved_at: when it was written, as the file has it.
+    """
+
+    state: SavedState
+    saved_at: str
+
+
 class Found(NamedTuple):
     """The content of a state file.
 
@@ -124,11 +136,11 @@ class StateFile:
         if not self.path.exists():
             return Found(state=None, saved_at="", cut_off=cut_off, refused="")
         try:
-            state, saved_at = read_state(self.path, self._parameters)
+            read = read_state(self.path, self._parameters)
         except SavedStateError as error:
             self._keep_what_is_there = True
             return Found(state=None, saved_at="", cut_off=cut_off, refused=str(error))
-        return Found(state=state, saved_at=saved_at, cut_off=cut_off, refused="")
+        return Found(state=read.state, saved_at=read.saved_at, cut_off=cut_off, refused="")
 
     def _check_place(self) -> None:
         folder = self.path.absolute().parent
@@ -182,7 +194,7 @@ def render_state(state: SavedState, parameters: LocalizerParameters, saved_at: d
     return _HEAD + "\n".join(lines) + "\n"
 
 
-def read_state(path: Path, parameters: LocalizerParameters) -> tuple[SavedState, str]:
+def read_state(path: Path, parameters: LocalizerParameters) -> ReadState:
     """Return the state in a file, and when it was written.
 
     Args:
@@ -221,7 +233,7 @@ def read_state(path: Path, parameters: LocalizerParameters) -> tuple[SavedState,
         process_noise=process,
         measurement_noise=measurement,
     )
-    return state, str(fields.value("saved_at"))
+    return ReadState(state=state, saved_at=str(fields.value("saved_at")))
 
 
 def _is_covariance(matrix: FloatArray) -> bool:

@@ -64,7 +64,7 @@ def networks_for(parameters: LocalizerParameters) -> Networks:
             f"joint_membership_file '{parameters.joint_membership_file}' has units other than 1, "
             "as sets of the modes r, q and rq have: give it as membership_file"
         )
-    return Networks(measurement, process, joint)
+    return Networks(measurement=measurement, process=process, joint=joint)
 
 
 def _of_the_paper(parameter: str, name: str) -> FuzzyNetwork:

@@ -76,12 +76,12 @@ class Record(NamedTuple):
 
 def _topic_of(connection: Connection) -> Topic:
     return Topic(
-        connection.topic,
-        connection.msgtype,
-        int(connection.msgcount),
-        tuple(getattr(connection.ext, "offered_qos_profiles", ())),
-        connection.msgdef.data,
-        connection.digest,
+        name=connection.topic,
+        type_name=connection.msgtype,
+        message_count=int(connection.msgcount),
+        qos=tuple(getattr(connection.ext, "offered_qos_profiles", ())),
+        definition=connection.msgdef.data,
+        digest=connection.digest,
     )
 
 
@@ -170,7 +170,9 @@ class BagReader:
             return
         try:  # errors of the caller's loop are not raised in here
             for connection, time_ns, data in self._reader.messages(connections):
-                yield Record(connection.topic, connection.msgtype, time_ns, data)
+                yield Record(
+                    topic=connection.topic, type_name=connection.msgtype, time_ns=time_ns, data=data
+                )
         except Exception as error:  # see above
             raise self._broken(error) from None
 

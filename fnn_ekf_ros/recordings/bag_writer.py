@@ -85,7 +85,9 @@ class BagWriter:
     def write(self, topic: str, message: Message, time_ns: int) -> None:
         """Write a message; `topic` is absolute, `time_ns` the time of recording [ns]."""
         data = TYPESTORE.serialize_cdr(_built(message), message.type_name)
-        self.write_raw(Record(topic, message.type_name, time_ns, bytes(data)))
+        self.write_raw(
+            Record(topic=topic, type_name=message.type_name, time_ns=time_ns, data=bytes(data))
+        )
 
     def write_raw(self, record: Record) -> None:
         """Write a record as it is.
@@ -93,18 +95,17 @@ class BagWriter:
         Raises:
             BagError: the disk is full, or the topic has another type.
         """
-        topic, type_name, time_ns, data = record
-        connection = self._connections.get(topic)
+        connection = self._connections.get(record.topic)
         if connection is None:
-            self.add_topic(Topic(topic, type_name, 0))
-            connection = self._connections[topic]
-        if connection.msgtype != type_name:
+            self.add_topic(Topic(name=record.topic, type_name=record.type_name, message_count=0))
+            connection = self._connections[record.topic]
+        if connection.msgtype != record.type_name:
             raise BagError(
-                f"bag '{self.path}': topic {topic} is {connection.msgtype}, a {type_name} cannot "
-                "be written to it"
+                f"bag '{self.path}': topic {record.topic} is {connection.msgtype}, a "
+                f"{record.type_name} cannot be written to it"
             )
         try:
-            self._writer.write(connection, time_ns, data)
+            self._writer.write(connection, record.time_ns, record.data)
         except Exception as error:  # the storages raise errors of many kinds
             raise self._broken(error) from None
 

@@ -165,7 +165,12 @@ def _wheels(table: Table, shift: float) -> Iterator[Timed]:
         for topic, count in zip(TICK_TOPICS, readings, strict=True):
             if math.isfinite(count):
                 wrapped = (round(count) + 2**31) % 2**32 - 2**31
-                yield Timed(stamp_ns, 1, topic, Message(messages.TICKS_TYPE, {"data": wrapped}))
+                yield Timed(
+                    time_ns=stamp_ns,
+                    order=1,
+                    topic=topic,
+                    message=Message(messages.TICKS_TYPE, {"data": wrapped}),
+                )
 
 
 def _truth(
@@ -181,7 +186,7 @@ def _truth(
                 stamp_ns, parameters.frame_id, parameters.base_frame, _with_yaw(pose),
                 np.zeros(2), nothing, nothing,
             )  # fmt: skip
-            yield Timed(stamp_ns, 0, messages.GROUND_TRUTH, message)
+            yield Timed(time_ns=stamp_ns, order=0, topic=messages.GROUND_TRUTH, message=message)
 
 
 def _fixes(
@@ -197,7 +202,12 @@ def _fixes(
             "header": messages.header(stamp_ns, parameters.frame_id),
             "pose": messages.pose_with_covariance(_with_yaw(pose), covariance),
         }
-        yield Timed(stamp_ns, 0, messages.LRF_POSE, Message(messages.POSE_TYPE, fields))
+        yield Timed(
+            time_ns=stamp_ns,
+            order=0,
+            topic=messages.LRF_POSE,
+            message=Message(messages.POSE_TYPE, fields),
+        )
 
 
 def _fix_covariance(table: Table, index: int) -> FloatArray:
@@ -220,8 +230,8 @@ def _compass(
         if math.isfinite(yaw):
             stamp_ns = _ns(time, shift)
             yield Timed(
-                stamp_ns, 0, messages.COMPASS,
-                messages.compass_message(stamp_ns, parameters.base_frame, yaw, 0.0),
+                time_ns=stamp_ns, order=0, topic=messages.COMPASS,
+                message=messages.compass_message(stamp_ns, parameters.base_frame, yaw, 0.0),
             )  # fmt: skip
 
 

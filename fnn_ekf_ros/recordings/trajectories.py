@@ -34,7 +34,9 @@ def read_trajectory(bag: BagReader, topic: str) -> Trajectory:
     if not stamps:
         raise BagError(f"bag '{bag.path}': topic {topic} is empty")
     time_ns, first = np.unique(np.array(stamps), return_index=True)
-    return Trajectory(time_ns, np.array(poses)[first], np.array(covariances)[first])
+    return Trajectory(
+        time_ns=time_ns, pose=np.array(poses)[first], covariance=np.array(covariances)[first]
+    )
 
 
 def read_fixes(bag: BagReader, asked: str | None) -> FloatArray:

@@ -84,5 +84,7 @@ class Recorder:
     def _take(self, topic: str, kind: str, data: bytes) -> None:
         now_ns = self._node.get_clock().now().nanoseconds
         if now_ns > 0:
-            self._bag.write_raw(Record(topic, kind, now_ns, bytes(data)))
+            self._bag.write_raw(
+                Record(topic=topic, type_name=kind, time_ns=now_ns, data=bytes(data))
+            )
             self.counts[topic] += 1

@@ -59,7 +59,9 @@ class Transforms:
         p = self._parameters
         if self._map_to_odom is None:
             published = (("published", f"{p.frame_id} to {p.base_frame}"),)
-            return Status("tf", Level.OK, TransformMessage.PUBLISHED, published)
+            return Status(
+                name="tf", level=Level.OK, message=TransformMessage.PUBLISHED, values=published
+            )
         values = (("published", f"{p.frame_id} to {p.odom_frame}"),)
         missing_s = self._map_to_odom.missing_ns * 1e-9
         if missing_s > 0.0:
@@ -67,8 +69,13 @@ class Transforms:
                 ("missing", f"{p.odom_frame} to {p.base_frame}"),
                 ("missing for [s]", f"{missing_s:.1f}"),
             )
-            return Status("tf", Level.WARN, TransformMessage.MISSING, (*values, *missing))
-        return Status("tf", Level.OK, TransformMessage.PUBLISHED, values)
+            return Status(
+                name="tf",
+                level=Level.WARN,
+                message=TransformMessage.MISSING,
+                values=(*values, *missing),
+            )
+        return Status(name="tf", level=Level.OK, message=TransformMessage.PUBLISHED, values=values)
 
     def _receive(self, message: Any) -> None:
         assert self._map_to_odom is not None

@@ -103,7 +103,7 @@ class FakeRobot:
         self._robot = at_rest(np.zeros(3) if self._path is None else self._path.start())
         self._command = np.zeros(2)
         self._steps_driven, self._clock_error_ns = 0, 0
-        self._last_step = _LastStep(self._robot.pose, self._robot.pose, 0)
+        self._last_step = _LastStep(begin=self._robot.pose, end=self._robot.pose, clock_error_ns=0)
         self._encoder_times = ReadingTimes(parameters.encoder_rate, _ENCODERS_PHASE_NS)
         self._measuring_times = {
             messages.COMPASS: ReadingTimes(parameters.compass_rate),
@@ -150,7 +150,9 @@ class FakeRobot:
             self.parameters, self._robot, command, self._drive_rng,
             schedule.radius_factors(now), schedule.slip_std(now, self.parameters.slip()),
         )  # fmt: skip
-        self._last_step = _LastStep(self._robot.pose, driven.pose, self._clock_error_ns)
+        self._last_step = _LastStep(
+            begin=self._robot.pose, end=driven.pose, clock_error_ns=self._clock_error_ns
+        )
         self._robot = schedule.carried(now, driven)
         self._step += 1
         self._set_clock(schedule.clock_jump_ns(now))
@@ -181,12 +183,12 @@ class FakeRobot:
         """Return what is seen at a time in the last step; in between, the path is straight."""
         before_end_ns = self.time_ns - time_ns
         if before_end_ns == 0:
-            return _Seen(self._robot.pose, self.stamp_ns)
-        begin, end, clock_error_ns = self._last_step
-        moved = end - begin
+            return _Seen(pose=self._robot.pose, stamp_ns=self.stamp_ns)
+        last = self._last_step
+        moved = last.end - last.begin
         moved[2] = wrap_angle(moved[2])
-        pose = begin + (1.0 - before_end_ns / STEP_NS) * moved
-        return _Seen(pose, _stamp_ns(time_ns, clock_error_ns))
+        pose = last.begin + (1.0 - before_end_ns / STEP_NS) * moved
+        return _Seen(pose=pose, stamp_ns=_stamp_ns(time_ns, last.clock_error_ns))
 
     def _wheels(self) -> Iterator[Sent]:
         p = self.parameters

@@ -49,7 +49,7 @@ class Schedule:
     def __init__(self, faults: Sequence[Fault]) -> None:
         self._timed: dict[type[Fault], list[_Timed]] = {}
         for fault in faults:
-            timed = _Timed(fault, max(step_at(fault.start), 1), step_at(fault.end))
+            timed = _Timed(fault=fault, first=max(step_at(fault.start), 1), end=step_at(fault.end))
             self._timed.setdefault(type(fault), []).append(timed)
 
     def on(self, kind: type[FaultT], step: int) -> list[FaultT]:
@@ -134,7 +134,7 @@ class Encoder:
         wrong = sum(glitch.size for glitch in glitches)
         self._true_count, self._step = true_count, step
         heard = not self._mine(self._schedule.on(SilentWheel, step))
-        return Reading(self._ticks + wrong, self._turned + wrong, heard)
+        return Reading(ticks=self._ticks + wrong, turned=self._turned + wrong, heard=heard)
 
     def _mine(self, faults: list[FaultT]) -> list[FaultT]:
         return [fault for fault in faults if self._wheel in fault.targets()]

@@ -51,7 +51,7 @@ def listen(
     for _ in range(round(duration_s * 1e9) // STEP_NS):
         for sent in fake.step():
             if sent.topic in topics:
-                yield Heard(sent.topic, as_object(sent.message), fake.time_ns)
+                yield Heard(topic=sent.topic, message=as_object(sent.message), now_ns=fake.time_ns)
 
 
 def as_object(field: Any) -> Any:

@@ -47,16 +47,16 @@ class RobotState(NamedTuple):
 def at_rest(pose: FloatArray) -> RobotState:
     """Return a robot at poses `(..., 3)` (m, m, rad) that has not moved yet."""
     batch = pose.shape[:-1]
-    return RobotState(pose, np.zeros((*batch, 2)), np.zeros(batch))
+    return RobotState(pose=pose, travel=np.zeros((*batch, 2)), progress=np.zeros(batch))
 
 
 def wheel_geometry(parameters: FakeRobotParameters) -> WheelGeometry:
     """Return the robot's true geometry."""
     return WheelGeometry(
-        parameters.wheel_radius,
-        parameters.wheel_separation,
-        parameters.gear_ratio,
-        parameters.encoder_counts_per_revolution,
+        wheel_radius=parameters.wheel_radius,
+        wheel_separation=parameters.wheel_separation,
+        gear_ratio=parameters.gear_ratio,
+        encoder_counts_per_revolution=parameters.encoder_counts_per_revolution,
     )
 
 

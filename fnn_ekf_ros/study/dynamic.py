@@ -73,6 +73,13 @@ def plans(size: Size) -> list[TrialPlan]:
     """Return the cases, each from the starts that it asks for."""
     robot, ranges = FakeRobotParameters(path=PATH), around_event(size.steps)
     return [
-        TrialPlan(name, robot, case.scenario, case.cells, ranges, size)
+        TrialPlan(
+            name=name,
+            robot=robot,
+            scenario=case.scenario,
+            cells=case.cells,
+            ranges=ranges,
+            size=size,
+        )
         for name, case in CASES.items()
     ]

@@ -109,7 +109,7 @@ def setting_of(path: str, seed: int, cell: Cell, given: dict[str, Any]) -> Setti
     robot = FakeRobotParameters(path=path, seed=seed)
     matching = with_noise_factors(matching_localizer(robot), cell)
     localizer = build(LocalizerParameters, asdict(matching) | given)
-    return Setting(robot, localizer, networks_for(localizer))
+    return Setting(robot=robot, localizer=localizer, networks=networks_for(localizer))
 
 
 class _FaultRun(NamedTuple):

@@ -211,7 +211,7 @@ def _filter(
                 np.broadcast_to(against(R, start.measurement_noise), start.measurement_noise.shape),
             )
         state, result = step(model, state, (epoch,))
-        yield StepEstimate(state.mean, state.covariance, result.nis)
+        yield StepEstimate(mean=state.mean, covariance=state.covariance, nis=result.nis)
 
 
 def _model(parameters: LocalizerParameters, **changes: Any) -> FilterModel:

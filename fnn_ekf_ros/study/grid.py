@@ -20,6 +20,13 @@ def plans(size: Size) -> list[TrialPlan]:
     """Return the two simulations with all 25 starts."""
     ranges = halves(size.steps)
     return [
-        TrialPlan(path, FakeRobotParameters(path=path), NOMINAL, ALL_CELLS, ranges, size)
+        TrialPlan(
+            name=path,
+            robot=FakeRobotParameters(path=path),
+            scenario=NOMINAL,
+            cells=ALL_CELLS,
+            ranges=ranges,
+            size=size,
+        )
         for path in SIMULATIONS
     ]

@@ -145,7 +145,9 @@ def true_poses(driven: Drive, time_ns: TimeArray) -> FloatArray:
 
 def counts_at(robot: FakeRobotParameters, driven: Drive, time_ns: TimeArray) -> FloatArray:
     """Return the counts `(K, n, 2)` [left, right] at instants `(K,)`; whole at each 12.5 ms."""
-    counts = encoder_counts(robot, RobotState(driven.truth, driven.travel, np.zeros(())))
+    counts = encoder_counts(
+        robot, RobotState(pose=driven.truth, travel=driven.travel, progress=np.zeros(()))
+    )
     first, last, part = _between(counts, time_ns)
     return np.asarray(first + part * (last - first))
 

@@ -62,9 +62,9 @@ def mean_interval(samples: FloatArray) -> Interval:
     n = samples.shape[-1]
     mean = np.mean(samples, axis=-1)
     if n < 2:
-        return Interval(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
+        return Interval(value=mean, low=np.full_like(mean, np.nan), high=np.full_like(mean, np.nan))
     half = student_t(n - 1) * np.std(samples, axis=-1, ddof=1) / n**0.5
-    return Interval(mean, mean - half, mean + half)
+    return Interval(value=mean, low=mean - half, high=mean + half)
 
 
 def root_ratio_interval(above: FloatArray, below: FloatArray) -> Interval:
@@ -77,7 +77,9 @@ def root_ratio_interval(above: FloatArray, below: FloatArray) -> Interval:
     mean_a, mean_b = (np.mean(s, axis=-1, keepdims=True) for s in (above, below))
     ratio = np.sqrt(mean_a / mean_b)[..., 0]
     if n < 2:
-        return Interval(ratio, np.full_like(ratio, np.nan), np.full_like(ratio, np.nan))
+        return Interval(
+            value=ratio, low=np.full_like(ratio, np.nan), high=np.full_like(ratio, np.nan)
+        )
     spread = np.std(above / mean_a - below / mean_b, axis=-1, ddof=1)
     factor = np.exp(student_t(n - 1) * 0.5 * spread / n**0.5)
-    return Interval(ratio, ratio / factor, ratio * factor)
+    return Interval(value=ratio, low=ratio / factor, high=ratio * factor)

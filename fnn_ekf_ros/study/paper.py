@@ -31,6 +31,13 @@ def plans(size: Size) -> list[TrialPlan]:
     """Return the two simulations and the experiment."""
     ranges = halves(size.steps)
     return [
-        TrialPlan(path, FakeRobotParameters(path=path), NOMINAL, STARTS, ranges, size)
+        TrialPlan(
+            name=path,
+            robot=FakeRobotParameters(path=path),
+            scenario=NOMINAL,
+            cells=STARTS,
+            ranges=ranges,
+            size=size,
+        )
         for path in TRIALS
     ]

@@ -198,6 +198,8 @@ def _control(robot: FakeRobotParameters, scenario: Scenario, driven: Drive) -> F
     """Return [dS, dtheta] `(T, n, 2)` (m, rad) from counts by the configured geometry."""
     half = 0.5 * scenario.wheel_inequality
     rolled = driven.travel / np.array([1.0 + half, 1.0 - half])
-    counts = encoder_counts(robot, RobotState(driven.truth, rolled, np.zeros(())))
+    counts = encoder_counts(
+        robot, RobotState(pose=driven.truth, travel=rolled, progress=np.zeros(()))
+    )
     left, right = np.moveaxis(np.diff(counts, axis=0), -1, 0)
     return components_last(control_from_counts(wheel_geometry(robot), left, right))

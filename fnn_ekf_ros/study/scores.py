@@ -136,18 +136,21 @@ def join_scores(parts: Sequence[Score]) -> Score:
     Args:
         parts: with the same runs and steps; at least one, each with a leading dimension.
     """
-    rmse, ratio, nees, inside, _, nis, nis_band, diverged = zip(*parts, strict=True)
     return Score(
-        rmse=_join_intervals(rmse),
-        ratio=_join_intervals(ratio),
-        nees=_join_intervals(nees),
-        nees_inside=np.concatenate(inside),
+        rmse=_join_intervals([part.rmse for part in parts]),
+        ratio=_join_intervals([part.ratio for part in parts]),
+        nees=_join_intervals([part.nees for part in parts]),
+        nees_inside=np.concatenate([part.nees_inside for part in parts]),
         nees_band=parts[0].nees_band,
-        nis=np.concatenate(nis),
-        nis_band=np.concatenate(nis_band),
-        diverged=np.concatenate(diverged),
+        nis=np.concatenate([part.nis for part in parts]),
+        nis_band=np.concatenate([part.nis_band for part in parts]),
+        diverged=np.concatenate([part.diverged for part in parts]),
     )
 
 
 def _join_intervals(parts: Sequence[Interval]) -> Interval:
-    return Interval(*(np.concatenate(ends) for ends in zip(*parts, strict=True)))
+    return Interval(
+        value=np.concatenate([part.value for part in parts]),
+        low=np.concatenate([part.low for part in parts]),
+        high=np.concatenate([part.high for part in parts]),
+    )

@@ -23,13 +23,16 @@ def wheel_geometry(parameters: LocalizerParameters) -> WheelGeometry:
     """Return the geometry; with joint_states a "count" is one radian of the wheel."""
     if parameters.encoder_source == "joint_states":
         return WheelGeometry(
-            parameters.wheel_radius, parameters.wheel_separation, 1.0, 2.0 * math.pi
+            wheel_radius=parameters.wheel_radius,
+            wheel_separation=parameters.wheel_separation,
+            gear_ratio=1.0,
+            encoder_counts_per_revolution=2.0 * math.pi,
         )
     return WheelGeometry(
-        parameters.wheel_radius,
-        parameters.wheel_separation,
-        parameters.gear_ratio,
-        parameters.encoder_counts_per_revolution,
+        wheel_radius=parameters.wheel_radius,
+        wheel_separation=parameters.wheel_separation,
+        gear_ratio=parameters.gear_ratio,
+        encoder_counts_per_revolution=parameters.encoder_counts_per_revolution,
     )
 
 

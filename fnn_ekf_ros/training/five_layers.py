@@ -72,7 +72,7 @@ def odd_layers(start: FuzzySets) -> LearningNetwork:
     def feasible(p: FloatArray) -> FloatArray:
         return np.array(mirrored(as_sets(layers.feasible(p))))
 
-    return LearningNetwork(layers.output, layers.gradient, feasible)
+    return LearningNetwork(output=layers.output, gradient=layers.gradient, feasible=feasible)
 
 
 def mirrored(sets: FuzzySets) -> FuzzySets:

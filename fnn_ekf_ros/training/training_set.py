@@ -154,7 +154,7 @@ def observe(recording: Recording, window_length: int, rng: np.random.Generator) 
             full = components_last(state.window.counts) >= window_length
             seen.append((components_last(result.mismatch), wanted, right & full))
     mismatch, change, settled = (np.concatenate(part)[:, _ROWS] for part in zip(*seen, strict=True))
-    return Observations(mismatch, change, settled)
+    return Observations(mismatch=mismatch, wanted_change=change, settled=settled)
 
 
 def pick(seen: Observations, rng: np.random.Generator) -> TrainingSet:

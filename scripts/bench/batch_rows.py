@@ -87,7 +87,9 @@ def measure_memory(context: Context) -> Result:
     return Result(lines)
 
 
-ROW = Row("batch", "Batches of robots", HOW, measure)
+ROW = Row(name="batch", title="Batches of robots", how=HOW, measure=measure)
 """Row `batch`."""
-MEMORY_ROW = Row("batch_memory", "Memory of a batch", MEMORY_HOW, measure_memory)
+MEMORY_ROW = Row(
+    name="batch_memory", title="Memory of a batch", how=MEMORY_HOW, measure=measure_memory
+)
 """Row `batch_memory`."""

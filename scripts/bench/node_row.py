@@ -126,5 +126,10 @@ def _once(context: Context, kind: str, domain: int, window_s: float) -> Any:
     return found
 
 
-ROW = Row("node", "The live node, and from the end of a period to `odom`", HOW, measure)
+ROW = Row(
+    name="node",
+    title="The live node, and from the end of a period to `odom`",
+    how=HOW,
+    measure=measure,
+)
 """Row `node`."""

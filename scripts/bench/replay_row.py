@@ -78,5 +78,5 @@ def _once(context: Context, name: str, source: Path) -> Any:
     return found
 
 
-ROW = Row("replay", "An hour through `replay`", HOW, measure)
+ROW = Row(name="replay", title="An hour through `replay`", how=HOW, measure=measure)
 """Row `replay`."""

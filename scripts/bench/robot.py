@@ -66,7 +66,7 @@ def drive(steps: int, robots: int, step_s: float, seed: int) -> Drive:
     z = truth[1:, :, [0, 1, 2, 2]]
     z = z + np.asarray(MEASUREMENT_STD) * rng.standard_normal(z.shape)
     truth[..., 2], z[..., 2:] = wrapped(truth[..., 2]), wrapped(z[..., 2:])
-    return Drive(truth, control, z)
+    return Drive(truth=truth, control=control, measurement=z)
 
 
 def wrapped(angle: FloatArray) -> FloatArray:

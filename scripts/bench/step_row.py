@@ -51,5 +51,5 @@ def measure(context: Context) -> Result:
     return Result(lines, said=[said])
 
 
-ROW = Row("step", "One robot, one step", HOW, measure)
+ROW = Row(name="step", title="One robot, one step", how=HOW, measure=measure)
 """Row `step`."""

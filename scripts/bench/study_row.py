@@ -67,5 +67,5 @@ def _study(context: Context, *words: str) -> str:
     return ran.stdout
 
 
-ROW = Row("study", "A study on two cores", HOW, measure)
+ROW = Row(name="study", title="A study on two cores", how=HOW, measure=measure)
 """Row `study`."""

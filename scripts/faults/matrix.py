@@ -79,12 +79,16 @@ def window(run: Run, begin_s: float, end_s: float) -> Window:
     """Return the errors of the odom in `[begin_s, end_s)` of robot time."""
     times = run.odom.time_ns / 1e9
     inside = (times >= begin_s) & (times < end_s)
-    part = Trajectory(run.odom.time_ns[inside], run.odom.pose[inside], run.odom.covariance[inside])
+    part = Trajectory(
+        time_ns=run.odom.time_ns[inside],
+        pose=run.odom.pose[inside],
+        covariance=run.odom.covariance[inside],
+    )
     found: Score | None = score(part, run.truth)
     if found is None:
-        return Window(math.nan, math.nan, math.nan)
+        return Window(rmse=math.nan, largest=math.nan, nees=math.nan)
     largest = float(np.nanmax(position_error(part, run.truth)))
-    return Window(found.rmse_position, largest, found.mean_nees)
+    return Window(rmse=found.rmse_position, largest=largest, nees=found.mean_nees)
 
 
 def position_error(odom: Trajectory, truth: Trajectory) -> NDArray[np.float64]:

@@ -144,7 +144,10 @@ def read_run(path: Path, row: FaultScenario) -> Run:
     times = robot_times(_stamps_ns(statuses), jump)
     remarks = tuple(
         Remark(
-            float(time), status.name.split(": ", 1)[-1], Level(int(status.level)), status.message
+            time_s=float(time),
+            status=status.name.split(": ", 1)[-1],
+            level=Level(int(status.level)),
+            message=status.message,
         )
         for time, message in zip(times, statuses, strict=True)
         for status in message.status
@@ -205,11 +208,11 @@ def _track(found: Sequence[Any], jump: ClockJump | None) -> Trajectory:
     time_ns, first = np.unique(np.round(times[inside] * 1e9).astype(np.int64), return_index=True)
     kept = [found[place] for place in inside[first]]
     return Trajectory(
-        time_ns,
-        np.array([messages.planar_pose(message) for message in kept]).reshape(-1, 3),
-        np.array([messages.planar_block(message.pose.covariance) for message in kept]).reshape(
-            -1, 3, 3
-        ),
+        time_ns=time_ns,
+        pose=np.array([messages.planar_pose(message) for message in kept]).reshape(-1, 3),
+        covariance=np.array(
+            [messages.planar_block(message.pose.covariance) for message in kept]
+        ).reshape(-1, 3, 3),
     )
 
 

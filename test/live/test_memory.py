@@ -37,7 +37,7 @@ def test_the_state_of_one_node_starts_the_next(
     first.set_clock(5 * 10**9)
     first.spin_until(first.localizer.localizer.saved, "the start")
     first.close()
-    saved, _ = read_state(file, first.localizer.localizer.parameters)
+    saved = read_state(file, first.localizer.localizer.parameters).state
     np.testing.assert_array_equal(saved.pose, [1.0, 2.0, 0.5])
 
     second = bench(*keep, "-p", "warm_start:=true")
@@ -72,7 +72,7 @@ def test_the_state_is_written_while_the_node_runs(
     opened.set_clock(9 * 10**9)
 
     def stamp_ns() -> int:
-        return int(read_state(file, opened.localizer.localizer.parameters)[0].stamp_ns)
+        return int(read_state(file, opened.localizer.localizer.parameters).state.stamp_ns)
 
     opened.spin_until(lambda: stamp_ns() > 8 * 10**9, "the next writes")
 
@@ -95,7 +95,7 @@ def test_a_broken_state_is_a_cold_start_and_said(
     opened.close()
     assert file.with_name("state.yaml.broken").read_text() == "format_version: 1\n"
     np.testing.assert_array_equal(
-        read_state(file, opened.localizer.localizer.parameters)[0].pose, [1.0, 2.0, 0.5]
+        read_state(file, opened.localizer.localizer.parameters).state.pose, [1.0, 2.0, 0.5]
     )
 
 

@@ -145,7 +145,7 @@ def test_another_file_is_kept_once_when_the_state_is_written(
     file.write(state, WHEN)
     file.write(state, WHEN)
     assert broken.read_bytes() == content
-    same(read_state(path, parameters)[0], state)
+    same(read_state(path, parameters).state, state)
 
     path.write_bytes(b"again")
     file = StateFile(parameters)

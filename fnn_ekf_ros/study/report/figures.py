@@ -91,16 +91,16 @@ class _HeatMap(NamedTuple):
 
 _HEAT_MAPS = (
     _HeatMap(
-        "ratio",
-        "RMSE as a ratio to the oracle's, worst of x, y, theta",
-        "YlOrBr",
-        (1.0, 1.2, 1.5, 2.0, 3.0, 4.0),
+        word="ratio",
+        title="RMSE as a ratio to the oracle's, worst of x, y, theta",
+        colors="YlOrBr",
+        ticks=(1.0, 1.2, 1.5, 2.0, 3.0, 4.0),
     ),
     _HeatMap(
-        "nees",
-        "mean NEES; 3 where the covariance is consistent, more where it is too small",
-        "PuOr_r",
-        (0.3, 1.0, 3.0, 9.0, 30.0),
+        word="nees",
+        title="mean NEES; 3 where the covariance is consistent, more where it is too small",
+        colors="PuOr_r",
+        ticks=(0.3, 1.0, 3.0, 9.0, 30.0),
     ),
 )
 """The quantities that are drawn as heat maps."""

@@ -85,14 +85,14 @@ def paper_figures() -> list[PaperFigure]:
     """Return the figures in the paper's order, then the rivals'."""
     return [
         PaperFigure(
-            "fig03_membership_initial.png",
-            "membership functions D, M, I of the change of R, initial",
-            partial(_membership, ("initial",)),
+            file="fig03_membership_initial.png",
+            shows="membership functions D, M, I of the change of R, initial",
+            make=partial(_membership, ("initial",)),
         ),
         PaperFigure(
-            "fig04_membership_learned.png",
-            "the same, learned: as published, and as `train` learns them on simulated robots",
-            partial(_membership, ("published", "trained")),
+            file="fig04_membership_learned.png",
+            shows="the same, learned: as published, and as `train` learns them on simulated robots",
+            make=partial(_membership, ("published", "trained")),
         ),
         *_trajectories(),
         *_simulation_figures("sim1", 7),
@@ -123,24 +123,24 @@ def steps_of_lap(trial: str) -> int:
 def _trajectories() -> Iterator[PaperFigure]:
     for number, trial in ((5, "sim1"), (6, "sim2")):
         yield PaperFigure(
-            f"fig{number:02d}_{trial}_trajectory.png",
-            f"{paper.TRIALS[trial]}: the robot's trajectory, its first lap",
-            partial(_trajectory, trial),
+            file=f"fig{number:02d}_{trial}_trajectory.png",
+            shows=f"{paper.TRIALS[trial]}: the robot's trajectory, its first lap",
+            make=partial(_trajectory, trial),
         )
 
 
 def _simulation_figures(trial: str, first: int) -> Iterator[PaperFigure]:
     title = paper.TRIALS[trial]
     yield PaperFigure(
-        f"fig{first:02d}_{trial}_tracks.png",
-        f"{title}: EKF, FNN-EKF and true path over the first {SAMPLE_POINTS} sample points",
-        partial(_tracks, trial, View(lambda _: slice(0, SAMPLE_POINTS))),
+        file=f"fig{first:02d}_{trial}_tracks.png",
+        shows=f"{title}: EKF, FNN-EKF and true path over the first {SAMPLE_POINTS} sample points",
+        make=partial(_tracks, trial, View(lambda _: slice(0, SAMPLE_POINTS))),
     )
     for number, axis in enumerate(RMSE_AXES, start=first + 1):
         yield PaperFigure(
-            f"fig{number:02d}_{trial}_rmse_{axis}.png",
-            f"{title}: RMSE in {axis} over the runs at each step, EKF and FNN-EKF",
-            partial(_rmse, trial, axis),
+            file=f"fig{number:02d}_{trial}_rmse_{axis}.png",
+            shows=f"{title}: RMSE in {axis} over the runs at each step, EKF and FNN-EKF",
+            make=partial(_rmse, trial, axis),
         )
 
 
@@ -153,22 +153,27 @@ def _experiment_figures() -> Iterator[PaperFigure]:
     for number, word, shows, view in (
         (17, "whole", "the whole round path", View(last_lap)),
         (18, "first_corner", "its first corner", View(last_lap, paper.FIRST_CORNER)),
-        (19, "line", "a straight line", View(last_lap, paper.LINE, (1.2, 0.4))),
+        (
+            19,
+            "line",
+            "a straight line",
+            View(steps=last_lap, center=paper.LINE, half_size=(1.2, 0.4)),
+        ),
         (20, "third_corner", "its third corner", View(last_lap, paper.THIRD_CORNER)),
     ):
         yield PaperFigure(
-            f"fig{number}_experiment_{word}.png",
-            f"experiment (simulated): {shows}, the last lap",
-            partial(_tracks, "round", view),
+            file=f"fig{number}_experiment_{word}.png",
+            shows=f"experiment (simulated): {shows}, the last lap",
+            make=partial(_tracks, "round", view),
         )
 
 
 def _rivals_figures() -> Iterator[PaperFigure]:
     for trial, title in paper.TRIALS.items():
         yield PaperFigure(
-            f"rivals_{trial}.png",
-            f"{title}: RMSE of every filter that ran, of {SMOOTHED_STEPS} steps",
-            partial(_rivals, trial),
+            file=f"rivals_{trial}.png",
+            shows=f"{title}: RMSE of every filter that ran, of {SMOOTHED_STEPS} steps",
+            make=partial(_rivals, trial),
         )
 
 
