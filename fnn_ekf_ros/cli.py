@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.errors import FnnEkfError, in_one_line
 from fnn_ekf_ros.stopping import FAILURE, INTERRUPTED, exit_by_signal, stop_by_signal
 from fnn_ekf_ros.version import PACKAGE, version
 
@@ -94,7 +94,7 @@ def run_command(name: str, argv: Sequence[str] | None = None) -> int:
         print(f"{name}: out of memory", file=sys.stderr)
         return FAILURE
     except OSError as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        print(f"{name}: {in_one_line(error)}", file=sys.stderr)
         _discard_output()
         return FAILURE
 

@@ -6,7 +6,7 @@
 import sys
 from collections.abc import Callable
 
-from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.errors import FnnEkfError, in_one_line
 from fnn_ekf_ros.stopping import FAILURE, INTERRUPTED
 
 
@@ -20,8 +20,11 @@ def exit_code(name: str, work: Callable[[], None], interrupted: str) -> int:
     """
     try:
         work()
-    except (FnnEkfError, OSError) as error:
+    except FnnEkfError as error:
         print(f"{name}: {error}", file=sys.stderr)
+        return FAILURE
+    except OSError as error:
+        print(f"{name}: {in_one_line(error)}", file=sys.stderr)
         return FAILURE
     except KeyboardInterrupt:
         print(f"{name}: interrupted, {interrupted}", file=sys.stderr)

@@ -12,32 +12,37 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.errors import FnnEkfError, reason_of
 
 _LONGEST_NAME = 240
 """Longest name of a file that a partial file is named after [bytes]: a file system allows 255, and
 a dot and a process number have to fit."""
 
 
-def read_text(path: Path, what: str, kind: type[FnnEkfError]) -> str:
+def read_text(path: Path, what: str, kind: type[FnnEkfError], expected: str = "a text file") -> str:
     """Return a text file's content.
 
     Args:
         path: the file.
         what: what it is, for the error's first words.
         kind: the error to raise.
+        expected: what should be there, for the error's last words.
 
     Raises:
         FnnEkfError: it is not there, no regular file or no text.
     """
     try:
         if path.exists() and not path.is_file():
-            raise kind(f"{what} '{path}' is no file: expected a text file")
+            raise kind(f"{what} '{path}' is no file: expected {expected}")
         return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise kind(f"{what} '{path}' does not exist: expected {expected}") from None
     except OSError as error:
-        raise kind(f"{what} '{path}': {error.strerror}") from None
+        raise kind(
+            f"{what} '{path}' cannot be read ({reason_of(error)}): expected {expected}"
+        ) from None
     except ValueError:  # not UTF-8, or a NUL byte in the name
-        raise kind(f"{what} '{path}' is no text file") from None
+        raise kind(f"{what} '{path}' is no text file: expected {expected}") from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -74,9 +79,12 @@ def written_whole(path: Path) -> Iterator[Path]:
             raise FnnEkfError(f"'{path}' is no file: expected the name of a file to write")
         yield partial
         partial.replace(path)
+    except FileNotFoundError:
+        raise FnnEkfError(
+            f"'{path}' cannot be written: folder '{path.parent}' does not exist"
+        ) from None
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FnnEkfError(f"'{path}' cannot be written: {reason}") from None
+        raise FnnEkfError(f"'{path}' cannot be written: {reason_of(error)}") from None
     finally:
         with suppress(OSError, ValueError):
             partial.unlink(missing_ok=True)
@@ -94,7 +102,7 @@ def remove_partials(path: Path) -> int:
         for partial in found:
             partial.unlink(missing_ok=True)
     except OSError as error:
-        raise FnnEkfError(f"remains of '{path}': {error.strerror}") from None
+        raise FnnEkfError(f"remains of '{path}' cannot be removed: {reason_of(error)}") from None
     return len(found)
 
 

@@ -94,12 +94,8 @@ def read_membership(name: str, parameter: str = "membership_file") -> FuzzyNetwo
     """
     if name in PACKAGED:
         return _packaged(name)
-    try:
-        text = read_text(Path(name), parameter, MembershipError)
-    except MembershipError as error:
-        raise MembershipError(
-            f"{error}; expected one of {', '.join(PACKAGED)}, or the path of a file"
-        ) from None
+    expected = f"one of {', '.join(PACKAGED)}, or the path of a file"
+    text = read_text(Path(name), parameter, MembershipError, expected)
     return _read(text, f"{parameter} '{name}'")
 
 

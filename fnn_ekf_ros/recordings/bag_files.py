@@ -88,7 +88,7 @@ def _topic_of(connection: Connection) -> Topic:
 def _check_readable(path: Path) -> None:
     try:
         if not path.exists():
-            raise BagError(f"bag '{path}' does not exist")
+            raise BagError(f"bag '{path}' does not exist: expected a rosbag2 recording")
         if not path.is_dir() and not path.is_file():
             raise BagError(f"bag '{path}' is no file: expected a rosbag2 recording")
         finished = not path.is_dir() or (path / "metadata.yaml").exists()

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.diagnostics.messages import LAST_REFUSAL
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.files.fields import suggestion
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record
@@ -28,7 +29,8 @@ class TopicNames:
             if not (separator and messages.is_topic_name(target)):
                 raise FnnEkfError(f"-r {text}: expected FROM:=TO, TO a topic's name")
             if messages.absolute_name(source) not in known:
-                raise FnnEkfError(f"-r {text}: expected one of {', '.join(known.values())}")
+                names = suggestion(source.removeprefix("/"), known.values())
+                raise FnnEkfError(f"-r {text}: unknown topic '{source}'{names}")
             self._to[messages.absolute_name(source)] = messages.absolute_name(target)
 
     def of(self, topic: str) -> str:

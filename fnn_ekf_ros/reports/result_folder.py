@@ -7,7 +7,7 @@ import os
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.errors import FnnEkfError, reason_of
 
 
 def make_folder(path: Path, option: str = "--out") -> None:
@@ -21,7 +21,7 @@ def make_folder(path: Path, option: str = "--out") -> None:
             raise FnnEkfError(f"{option} '{path}': is a bag's folder, expected another")
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        raise FnnEkfError(f"{option} '{path}': {_reason(error)}") from None
+        raise FnnEkfError(f"{option} '{path}': {reason_of(error)}") from None
 
 
 def check_result_file(option: str, path: Path, others: Iterable[Path] = ()) -> None:
@@ -50,7 +50,7 @@ def check_result_file(option: str, path: Path, others: Iterable[Path] = ()) -> N
                 f"{option} '{path}': is an input or another result, expected a name of its own"
             )
     except (OSError, ValueError) as error:
-        raise FnnEkfError(f"{option} '{path}': {_reason(error)}") from None
+        raise FnnEkfError(f"{option} '{path}': {reason_of(error)}") from None
 
 
 def prepare_study(
@@ -87,7 +87,3 @@ def _same(one: Path, other: Path) -> bool:
 
 def _is_bag(folder: Path) -> bool:
     return (folder / "metadata.yaml").exists()
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return getattr(error, "strerror", None) or str(error)

@@ -201,8 +201,8 @@ def test_import_refuses_geometries(
         (["--truth-columns", "a", "b"], "has no column 'a'"),
         (["--fix-columns", "t", "b"], "has no column 'b'"),
         (["--compass-column", "yaw"], "has no column 'yaw'"),
-        (["--fixes", "nowhere.csv"], "'nowhere.csv': No such file"),
-        (["--geometry", "nowhere.json"], "'nowhere.json': No such file"),
+        (["--fixes", "nowhere.csv"], "'nowhere.csv' does not exist"),
+        (["--geometry", "nowhere.json"], "'nowhere.json' does not exist"),
     ],
 )
 def test_import_refuses_options(
@@ -224,7 +224,7 @@ def test_import_overwrites_nothing(tmp_path: Path, refuse: Refuse) -> None:
     for name in ("bag", "other"):
         line = refuse("import-csv", table, tmp_path / name, "--geometry", geometry)
         assert "exists already" in line
-    assert "No such file" in refuse("import-csv", tmp_path / "no.csv", tmp_path / "new")
+    assert "does not exist" in refuse("import-csv", tmp_path / "no.csv", tmp_path / "new")
 
 
 def test_import_refuses_times_that_are_no_seconds(tmp_path: Path, refuse: Refuse) -> None:

@@ -94,8 +94,8 @@ def test_replay_starts_from_a_saved_state_and_leaves_it_as_it_is(
     ]  # fmt: skip
     cold = run("replay", recorded, tmp_path / "cold", *given)
     assert cold.code == 0
-    assert cold.err == f"replay: state_file '{file}': No such file or directory; " + (
-        "starting without it\n"
+    assert cold.err == f"replay: state_file '{file}' does not exist: " + (
+        "expected a text file; starting without it\n"
     )
     parameters = build(
         LocalizerParameters,
@@ -294,10 +294,11 @@ def test_replay_of_wheels_only_starts_and_then_drifts(
         (["-p", "wheel_radius:=0.0"], "parameter 'wheel_radius' is not set"),
         (["-p", "period"], "-p period: expected name:=value"),
         (["-p", "membership_file:=nowhere.yaml"],
-         "membership_file 'nowhere.yaml': No such file"),
+         "membership_file 'nowhere.yaml' does not exist"),
         (["-p", "encoder_source:=joint_states", "-r", "joint_states:=nothing"],
          "has no topic /nothing (sensor_msgs/msg/JointState)"),
         (["-r", "lrf_pose"], "-r lrf_pose: expected FROM:=TO"),
+        (["-r", "/lrf_poze:=x"], "unknown topic '/lrf_poze': did you mean 'lrf_pose'?"),
         (["-r", "lrf_pose:=compass"], "-r: /compass would be both compass and lrf_pose"),
         (["-r", "left_ticks:=ground_truth"],
          "topic /ground_truth is nav_msgs/msg/Odometry, expected std_msgs/msg/Int32"),

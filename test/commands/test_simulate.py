@@ -80,8 +80,8 @@ def test_simulate_writes_what_a_localizer_needs(tmp_path: Path, succeed: Succeed
         (["--duration", "0"], "--duration 0: expected"),
         (["--duration", "nan"], "--duration nan: expected"),
         (["--duration", "1e9"], "--duration 1e+09: expected"),
-        (["--params", "missing.yaml"], "parameter file 'missing.yaml': No such file"),
-        (["-p", "faults_file:=missing.yaml"], "faults_file 'missing.yaml': No such file"),
+        (["--params", "missing.yaml"], "parameter file 'missing.yaml' does not exist"),
+        (["-p", "faults_file:=missing.yaml"], "faults_file 'missing.yaml' does not exist"),
     ],
 )
 def test_simulate_refuses(tmp_path: Path, refuse: Refuse, words: list[str], expected: str) -> None:

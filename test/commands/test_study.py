@@ -184,7 +184,7 @@ def test_parameters_reach_the_filters(tmp_path: Path, succeed: Succeed, undrawn:
         (["-p", "inference:=centroid"], "parameter 'inference': the study sets it; expected"),
         (["-p", "motion_modle:=paper"], "unknown parameter 'motion_modle': did you mean"),
         (["-p", "innovation_window:=1"], "parameter 'innovation_window' is 1: expected"),
-        (["--params", "missing.yaml"], "parameter file 'missing.yaml': No such file"),
+        (["--params", "missing.yaml"], "parameter file 'missing.yaml' does not exist"),
         (["--json", "nowhere/numbers.json"], "there is no folder 'nowhere'"),
         (["--json", "."], "--json '.': is a folder"),
         (["--json", ""], "--json '.': is a folder"),

@@ -200,7 +200,7 @@ def test_a_short_window_makes_a_larger_unit(
         (["--innovation-window", "1"], "--innovation-window 1: expected 2 to"),
         (["--network", "joint", "--innovation-window", "45"], "mode joint has none"),
         (["--network", "joint", "--rate", "0"], "--rate 0: expected more than 0"),
-        (["--initial", "final"], "membership_file 'final': No such file"),
+        (["--initial", "final"], "membership_file 'final' does not exist"),
     ],
 )
 def test_train_refuses(tmp_path: Path, refuse: Refuse, words: list[str], expected: str) -> None:

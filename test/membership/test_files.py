@@ -94,7 +94,7 @@ def test_broken_files_are_refused_in_one_line(
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     (tmp_path / "binary").write_bytes(b"\xff\xfe")
     for path, words in (
-        (tmp_path / "missing", "No such file"),
+        (tmp_path / "missing", "does not exist: expected one of initial"),
         (tmp_path, "is no file"),
         (tmp_path / "binary", "text"),
     ):
@@ -115,13 +115,16 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
             {"joint_membership_file": "trained"},
             "joint_membership_file 'trained' has units other than 1",
         ),
-        ({"joint_membership_file": "nowhere"}, "joint_membership_file 'nowhere': No such file"),
-        ({"membership_file": "nowhere"}, "membership_file 'nowhere': No such file"),
+        ({"joint_membership_file": "nowhere"}, "joint_membership_file 'nowhere' does not exist"),
+        ({"membership_file": "nowhere"}, "membership_file 'nowhere' does not exist"),
         (
             {"process_membership_file": "joint"},
             "process_membership_file 'joint' has units of 1",
         ),
-        ({"process_membership_file": "nowhere"}, "process_membership_file 'nowhere': No such file"),
+        (
+            {"process_membership_file": "nowhere"},
+            "process_membership_file 'nowhere' does not exist",
+        ),
     ],
 )
 @pytest.mark.parametrize("adaptation", ["joint", "r", "rq", "none"])

@@ -126,7 +126,7 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path: Path) -> No
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x80")
     for path, words in (
-        (tmp_path / "missing.yaml", "No such file"),
+        (tmp_path / "missing.yaml", "does not exist: expected a text file"),
         (tmp_path, "is no file"),
         (binary, "is no text file"),
     ):

@@ -79,7 +79,7 @@ def test_results_replace_the_last_ones(place: Path) -> None:
     ("trouble", "code", "line"),
     [
         (FnnEkfError("play failed"), 1, "demo: play failed\n"),
-        (OSError(28, "No space left on device"), 1, "demo: [Errno 28] No space left on device\n"),
+        (OSError(28, "No space left on device"), 1, "demo: No space left on device\n"),
         (KeyboardInterrupt(), 130, "demo: interrupted, demo/ stays as it was\n"),
     ],
 )
@@ -125,7 +125,7 @@ def test_a_folder_that_cannot_be_made_is_one_line(
 
     monkeypatch.setattr(Path, "mkdir", refuse)
     assert demo.main([]) == 1
-    assert capsys.readouterr().err == "demo: [Errno 13] Permission denied: 'demo'\n"
+    assert capsys.readouterr().err == "demo: 'demo': Permission denied\n"
 
 
 def test_a_process_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
