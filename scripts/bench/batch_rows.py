@@ -32,13 +32,13 @@ difference of some percent. "Faster" is the other commit's time over this one's.
 The numbers say how long a study takes. They hold for batches in which nothing is rejected; a
 batch that has a rejected reading in it costs more.
 """
-"""What row `batch` measures and how, for the document."""
+"""Text of row `batch` in the document: what is measured, and how."""
 MEMORY_HOW = """
 Largest resident memory (VmHWM) of a process that makes a recording of 10 000 robots and 10
 periods and runs one filter over it, Python, numpy, recording and track included. Every number is
 that of a new process. The part of recording and track grows with the number of periods.
 """
-"""What row `batch_memory` measures and how, for the document."""
+"""Text of row `batch_memory` in the document: what is measured, and how."""
 
 
 def measure(context: Context) -> Result:

@@ -44,7 +44,7 @@ published it (`received_timestamp` of the middleware). It contains two trips bet
 the bare node's does, and the work on a compass reading and a fix that were sent just before.
 "After the end" is from the end of the period, with the wait for the ticks.
 """
-"""What the row measures and how, for the document."""
+"""Text of the row in the document: what is measured, and how."""
 
 
 def measure(context: Context) -> Result:

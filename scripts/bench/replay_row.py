@@ -30,7 +30,7 @@ nothing.
 The ratio says how far `replay` is from the least that a tool on rosbags needs. Most of it is the
 cost of a message: 115 come in a second, of which 15 are readings that take a filter step.
 """
-"""What the row measures and how, for the document."""
+"""Text of the row in the document: what is measured, and how."""
 
 
 def measure(context: Context) -> Result:

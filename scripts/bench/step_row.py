@@ -26,7 +26,7 @@ The ratios say what the package's additions cost where one robot is filtered ste
 the node and in `replay`. A step is due at each time at which something was measured, and at the
 end of each period of 375 ms.
 """
-"""What the row measures and how, for the document."""
+"""Text of the row in the document: what is measured, and how."""
 
 
 def measure(context: Context) -> Result:

@@ -30,7 +30,7 @@ figures. "Faster" is the time of one job over that of two. Imports and figures a
 Anything else that runs on the machine adds to the elapsed time. The ratio of two cores says
 nothing about eight.
 """
-"""What the row measures and how, for the document."""
+"""Text of the row in the document: what is measured, and how."""
 
 
 def measure(context: Context) -> Result:
