@@ -34,7 +34,7 @@ from fnn_ekf_ros.study.instants import (
 from fnn_ekf_ros.study.recording import Start
 from fnn_ekf_ros.study.rivals import plain_ekf
 from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Drive
-from fnn_ekf_ros.study.scores import Errors, compare
+from fnn_ekf_ros.study.scores import compare
 from fnn_ekf_ros.study.starts import CORNERS, RIGHT, starts_at
 
 PATH = "round"
@@ -86,7 +86,14 @@ class RateCase(NamedTuple):
 
 
 def _timing(fix_rate: float, compass_rate: float, phases: str, *, fix_yaw: bool = False) -> Timing:
-    return Timing(fix_rate, compass_rate, *PHASES[phases], fix_yaw=fix_yaw)
+    fix_phase, compass_phase = PHASES[phases]
+    return Timing(
+        fix_rate=fix_rate,
+        compass_rate=compass_rate,
+        fix_phase=fix_phase,
+        compass_phase=compass_phase,
+        fix_yaw=fix_yaw,
+    )
 
 
 RATE_CASES = (
@@ -202,8 +209,13 @@ def period_errors(
     recording = in_periods(robot, driven, readings, COMMON_S)
     mean, _ = plain_ekf.run(recording, Start(*(array[0] for array in start)))
     error = pose_errors(mean, recording.truth[1:])
-    position, yaw = zip(*squares, strict=True)
-    return PeriodErrors(np.array(position), np.array(yaw), *_squares(error))
+    plain = _squares(error)
+    return PeriodErrors(
+        position=np.array([each.position for each in squares]),
+        yaw=np.array([each.yaw for each in squares]),
+        plain_position=plain.position,
+        plain_yaw=plain.yaw,
+    )
 
 
 def rate_errors(
@@ -233,8 +245,16 @@ def rate_errors(
     oracle_start = Start(*(array[:1] for array in start))
     oracle = compare(run_periods(models[EKF].model, recording, oracle_start), recording.truth)
     joint = compare(run_periods(models[JOINT].model, recording, start), recording.truth)
-    best = _last_half(oracle)
-    return RateErrors(*_last_half(joint), *(each[0] for each in best))
+    half = slice(len(joint.error) // 2, None)
+    squares, oracle_squares = _squares(joint.error[half]), _squares(oracle.error[half])
+    return RateErrors(
+        position=squares.position,
+        yaw=squares.yaw,
+        nees=np.mean(joint.nees[half], axis=0),
+        oracle_position=oracle_squares.position[0],
+        oracle_yaw=oracle_squares.yaw[0],
+        oracle_nees=np.mean(oracle.nees[half], axis=0)[0],
+    )
 
 
 def _drive(
@@ -243,13 +263,21 @@ def _drive(
     return drive_steps(robot, round(seconds / STEP_S), runs, rng)
 
 
-def _last_half(errors: Errors) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean squares of position and yaw, and the mean NEES, each `(cells, n)`."""
-    half = slice(len(errors.error) // 2, None)
-    return *_squares(errors.error[half]), np.mean(errors.nees[half], axis=0)
+class _Squares(NamedTuple):
+    """Mean squares of errors.
+
+    Attributes:
+        position: `(..., n)` [m^2].
+        yaw: `(..., n)` [rad^2].
+    """
+
+    position: FloatArray
+    yaw: FloatArray
 
 
-def _squares(error: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean squares `(..., n)` of position and yaw, of errors `(T, ..., n, 3)`."""
-    position = np.sum(np.mean(error[..., :2] ** 2, axis=0), axis=-1)
-    return position, np.mean(error[..., 2] ** 2, axis=0)
+def _squares(error: FloatArray) -> _Squares:
+    """Return the mean squares of position and yaw, of errors `(T, ..., n, 3)`."""
+    return _Squares(
+        position=np.sum(np.mean(error[..., :2] ** 2, axis=0), axis=-1),
+        yaw=np.mean(error[..., 2] ** 2, axis=0),
+    )
