@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+import write_thresholds
 import yaml
 from diagnostic_tables import message_tables
 from documents import blocks
@@ -15,18 +16,7 @@ from faults.rows import ROWS
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.commands import study_faults, study_rates, study_real
-from fnn_ekf_ros.core import relocation, suspects
-from fnn_ekf_ros.core.joint import STANDSTILL
-from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
-from fnn_ekf_ros.diagnostics import (
-    fault_isolation,
-    filter_status,
-    frozen,
-    recent_periods,
-    report,
-    stuck_wheel,
-    wheel_sizes,
-)
+from fnn_ekf_ros.core import relocation
 from fnn_ekf_ros.diagnostics.messages import MESSAGES, NAMES
 from fnn_ekf_ros.localizer import localizer
 from fnn_ekf_ros.messages import NIS_TOPICS, NOISE_FIELDS, NUMBER_TOPICS, STD_TOPICS
@@ -36,7 +26,6 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, default_of, fields_of
 from fnn_ekf_ros.study import fault_naming
 from fnn_ekf_ros.study.monte_carlo import STUDIES
-from fnn_ekf_ros.timeline import epochs, events, wheels
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -161,60 +150,14 @@ def test_the_robot_of_the_readme_is_one_that_the_localizer_takes() -> None:
     assert (parameters.encoder_source, parameters.odom_frame) == ("joint_states", "odom")
 
 
-def test_diagnostics_has_the_numbers_of_the_code() -> None:
-    text = flat("docs/diagnostics.md")
-    stale = f"{events.STALE_NS / NS:g} s"
-    many = f"{fault_isolation.MANY_REJECTIONS} or more of its last {recent_periods.READINGS}"
-    lasts = f"{recent_periods.LEAD_LASTS_NS / NS:g} s"
-    distance, rotation = STANDSTILL
-    band = f"{1.0 - fault_isolation.BAND_CHANCE:.1%}".replace("%", " %")
-    for phrase in (
-        f"no reading of either wheel; ERROR after {stale}",
-        f"no reading of either wheel for {stale}",
-        f"no reading of it {stale} after the first one of the other wheel",
-        f"no reading of it for {stale}",
-        f"no reading for {stale} (`lrf_pose`: not counting time in which the robot stands)",
-        f"{wheels.ARRIVAL_SLACK_S:g} s (ticks) or {wheels.STAMP_SLACK_S:g} s (`joint_states`)",
-        f"after more than {wheels.SILENCE_NS / NS:g} s of silence to within the distance of "
-        f"that {wheels.ARRIVAL_SLACK_S:g} s or {wheels.STAMP_SLACK_S:g} s from 0",
-        f"unchanged for {stale} or longer",
-        f"rotated the robot by {stuck_wheel.SMALLEST_ROTATION:g} rad or more",
-        f"by more than {stuck_wheel.SIGMAS:g} standard deviations",
-        f"and by more than {100 * stuck_wheel.SMALLEST_PART:g} %",
-        f"{frozen.FROZEN_READINGS} or more consecutive readings",
-        f"moved the robot by {frozen.FROZEN_DISTANCE:g} m",
-        f"rotated it by {frozen.FROZEN_ROTATION:g} rad",
-        f"more than {epochs.MOST_READINGS_A_SECOND:g} readings a second",
-        f"{many} readings rejected",
-        f"its last {recent_periods.READINGS} readings scatter more than the {band} band",
-        f"readings are at least {recent_periods.APART_NS / 1e6:.0f} ms apart",
-        f"now and {recent_periods.LASTING} readings ago",
-        f"less than {1e3 * distance:g} mm and {1e3 * rotation:g} mrad in "
-        f"{1e3 * NOMINAL_PERIOD_S:g} ms",
-        f"no fix accepted for {filter_status.NOT_CORRECTED_NS / NS:g} s of driving",
-        f"no yaw accepted for {filter_status.NOT_CORRECTED_NS / NS:g} s of driving",
-        f"within {100 * filter_status.BOUND_TOLERANCE:g} % of its bound",
-        f"the position's standard deviation is larger than {filter_status.LOST_POSITION_STD:g} m",
-        f"the yaw's standard deviation is larger than {filter_status.LOST_YAW_STD:g} rad",
-        f"stamp is more than {localizer.LARGEST_LEAD_NS / NS:g} s ahead",
-        f"by more than {localizer.LONGEST_SILENCE_PERIODS} periods",
-        f"for more than {localizer.LONGEST_PAUSE_NS / NS:g} s",
-        f"publishes `odom_frame` to `base_frame` for {stale}",
-        f"no other was within {fault_isolation.CLEAR_LEAD:g} for {lasts}",
-        f"corrections of the last {wheel_sizes.LOOK_BACK_S:g} s",
-        f"off by {100 * wheel_sizes.SMALLEST_PART:g} % or more, which has to be clear by "
-        f"{wheel_sizes.SIGMAS:g} standard deviations, and by {wheel_sizes.PART_SIGMAS:g} in each",
-        f"for {suspects.SUSPICION**0.5:g} times larger (std)",
-        f"no reading adds more than {suspects.LARGEST_SUSPECT_GAIN:g} nats",
-        f"none grows beyond {suspects.LARGEST_SUSPECT_LEAD:g}",
-        f"From {fault_isolation.SUSPECTED_LEAD:g} nats on",
-        f"Below {fault_isolation.SUSPECTED_LEAD:g}, rejections",
-        f"every other suspicion is under {fault_isolation.CLEARED_LEAD:g}",
-        f"After {fault_isolation.AGREEING} rejected fixes",
-        f"For {report.EXPLAINED_NS / NS:g} s after a fault of the wheels or a frozen sensor",
-        f"for {len(fault_naming.NAMING_CASES)} faults of one sensor at a time",
-    ):
-        assert phrase in text, phrase
+def test_diagnostics_has_the_table_of_thresholds_of_the_code() -> None:
+    text = (ROOT / "docs" / "diagnostics.md").read_text(encoding="utf-8")
+    assert text == write_thresholds.with_table(text), "scripts/write_thresholds.py writes it"
+
+
+def test_no_threshold_is_in_the_table_twice() -> None:
+    words = [each.words for each in write_thresholds.THRESHOLDS]
+    assert len(set(words)) == len(words)
 
 
 def test_diagnostics_lists_every_message_of_every_status_and_no_others() -> None:
