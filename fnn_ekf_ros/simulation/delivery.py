@@ -7,6 +7,7 @@ Every fault is a stage. What a stage lets through enters the next one in the sam
 fault is on is asked when a message enters its stage.
 """
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -44,7 +45,7 @@ def step_at(time_s: float) -> int:
     return -(-round(time_s * 1e9) // STEP_NS)
 
 
-class Stage(Generic[FaultT]):
+class Stage(ABC, Generic[FaultT]):
     """A fault of a topic's messages.
 
     Args:
@@ -77,8 +78,9 @@ class Stage(Generic[FaultT]):
     def _healthy(self, sent: Sent) -> Iterable[Sent]:
         return (sent,)
 
+    @abstractmethod
     def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:
-        raise NotImplementedError
+        """Return what leaves the stage when the fault meets a message."""
 
 
 class _Spoiling(Stage[Fault]):
