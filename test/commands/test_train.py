@@ -75,7 +75,7 @@ def test_the_packaged_set_beats_the_papers(
 ) -> None:
     """RMSE over the oracle's, mean of x, y, theta, from a right and from two wrong starts."""
     rng = np.random.default_rng(31)
-    recording = record(FakeRobotParameters(path="sim1"), NOMINAL, 400, 60, rng)
+    recording = record(FakeRobotParameters(path="sim1"), NOMINAL, 200, 60, rng)
     R = recording.measurement_noise[0]
     P = np.diag(R[:3])
     mean = recording.truth[0] + np.sqrt(R[:3]) * rng.standard_normal((60, 3))

@@ -156,16 +156,20 @@ def test_right_readings_are_rejected_as_often_as_was_asked_for(
     model: Callable[..., FilterModel], chance: float
 ) -> None:
     """Against a fresh gate each time: what came before opens it a little."""
-    model_ = model("none", gate_for(chance, chance))
-    _, periods = drive(2, 4000)
-    state = start_filter(model_, np.zeros(3), START_COVARIANCE)
+    model_, robots, steps = model("none", gate_for(chance, chance)), 40, 100
+    alone = [drive(seed, steps)[1] for seed in range(robots)]
+    state = start_filter(model_, np.zeros((3, robots)), START_COVARIANCE)
     rejected = []
-    for period in periods:
-        _, result = step(model_, state._replace(gate=start_gate()), [period])
+    for epochs in zip(*alone, strict=True):
+        together = [
+            np.stack(values, axis=-1) for values in zip(*(e[:4] for e in epochs), strict=True)
+        ]
+        period = Epoch(together[0], epochs[0].duration_s, together[2], together[3])
+        _, result = step(model_, state._replace(gate=start_gate((robots,))), [period])
         state, _ = step(dataclasses.replace(model_, gate=OPEN_GATE), state, [period])
         rejected.append(result.rejected)
-    share = np.mean(rejected, axis=0)
-    sigma = math.sqrt(chance * (1.0 - chance) / len(periods))
+    share = np.mean(rejected, axis=(0, 2))
+    sigma = math.sqrt(chance * (1.0 - chance) / (robots * steps))
     np.testing.assert_allclose(share, chance, atol=4.5 * sigma)
 
 

@@ -284,7 +284,7 @@ def test_hostile_drives_leave_it_sound(
     )
     truth = np.zeros((3, batch))
     state, touched = start_filter(model, truth.copy(), START_COVARIANCE, Q.T, R.T), False
-    for i in range(2000):
+    for i in range(1000):
         state, result = step(model, state, hostile_period(rng, truth, i))
         joint = state.joint
         assert isinstance(joint, JointState)

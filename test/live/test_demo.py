@@ -40,20 +40,19 @@ def alive(process: int) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "line"),
+    ("word", "number", "code", "line"),
     [
-        (signal.SIGINT, 130, "demo: interrupted, demo/ stays as it was\n"),
-        (signal.SIGTERM, 143, ""),
+        ("play", signal.SIGINT, 130, "demo: interrupted, demo/ stays as it was\n"),
+        ("localizer", signal.SIGTERM, 143, ""),
     ],
 )
-@pytest.mark.parametrize("word", ["localizer", "play"])
 def test_an_ended_demo_leaves_nothing(
     processes: Any,
     patiently: Callable[..., None],
+    word: str,
     number: int,
     code: int,
     line: str,
-    word: str,
 ) -> None:
     def hidden() -> set[Path]:
         return set(ROOT.glob(".demo.*"))

@@ -37,7 +37,7 @@ from fnn_ekf_ros.ros.build import build_message, message_class
 pytestmark = pytest.mark.live
 
 IN_FULL = "FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES" in os.environ
-MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES", "4000"))
+MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_LIVE_MESSAGES", "2500"))
 FIRST_SEED = int(os.environ.get("FNN_EKF_ROS_HOSTILE_SEED", "0"))
 CHUNK = 150
 """Number of messages between two checks whether the node still answers."""
@@ -243,7 +243,7 @@ def test_a_node_outlives_hostile_messages(processes: Any, sender: Sender) -> Non
     assert sender.call(SetParameters, "set_parameters", request).results[0].successful
     sender.call(SetBool, "enable_adaptation", SetBool.Request(data=True))
     sender.take_time()
-    truth = sender.play(Recipe(FIRST_SEED, (Segment((), 0.0, 600),)), parameters)
+    truth = sender.play(Recipe(FIRST_SEED, (Segment((), 0.0, 400),)), parameters)
     stamps, poses = zip(*truth, strict=True)
     for odom in sender.last:
         stamp_ns = messages.stamp_ns(odom)

@@ -69,8 +69,8 @@ def errors(make_pipeline: MakePipeline, feed: Any, simulated: Any) -> Callable[.
 def test_every_odom_of_a_run_is_near_the_truth(
     errors: Callable[..., Errors], path: str, adaptation: str
 ) -> None:
-    found = errors(7, 60.0, path, adaptation=adaptation)
-    assert len(found.error) >= 158
+    found = errors(7, 40.0, path, adaptation=adaptation)
+    assert len(found.error) >= 104
     assert np.all(np.isfinite(found.error))
     position = np.linalg.norm(found.error[:, :2], axis=-1)
     # Right noise and no outliers: a fix alone is good to 0.1 m, the compass to sqrt(0.018) rad.
@@ -88,7 +88,7 @@ def test_every_odom_of_a_run_is_near_the_truth(
 def test_covariances_stay_positive_definite_and_symmetric(
     errors: Callable[..., Errors], motion_model: str
 ) -> None:
-    found = errors(7, 60.0, motion_model=motion_model, adaptation="q")
+    found = errors(7, 40.0, motion_model=motion_model, adaptation="q")
     np.testing.assert_array_equal(found.covariance, np.swapaxes(found.covariance, 1, 2))
     assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
 
@@ -138,7 +138,7 @@ def test_r_finds_the_measurement_noise_from_a_start_wrong_by_25(
     }
 
     def rmse(**changes: Any) -> FloatArray:
-        runs = [errors(seed, **changes).error for seed in SEEDS]
+        runs = [errors(seed, **changes).error for seed in SEEDS[:12]]
         return np.sqrt(np.mean([np.mean(e[len(e) // 2 :] ** 2, axis=0) for e in runs], axis=0))
 
     right, wrong, learned = rmse(), rmse(**start), rmse(adaptation="r", **start)

@@ -338,7 +338,7 @@ def test_afterwards_the_robot_is_found_again(as_object: AsObject) -> None:
 def test_memory_is_flat(as_object: AsObject) -> None:
     """The second half of a long stream of everything leaves nothing behind."""
     every = tuple(name for name in EVERYTHING if name not in COMMANDS)
-    cycle = [Segment((name,), 0.2, 40) for name in every] + [Segment((), 0.0, 100)]
+    cycle = [Segment((name,), 0.2, 20) for name in every] + [Segment((), 0.0, 50)]
     localizer = Victim(build(LocalizerParameters, GEOMETRY | {"adaptation": "r"}), as_object)
     kept: list[int] = []
     tracemalloc.start()

@@ -345,7 +345,7 @@ def test_the_noise_that_was_learned_serves_a_plain_filter(
 ) -> None:
     """R too small by 25: errors of 20 s without adaptation, from a cold start and a warm one."""
     wrong = {"measurement_noise_std": [0.02, 0.02, 0.027]}
-    first, second = simulated(31, 120.0), simulated(32, 20.0)
+    first, second = simulated(31, 60.0), simulated(32, 20.0)
     learned = make_pipeline(**wrong)
     feed(learned, first.arrivals)
     kept = learned.saved()

@@ -224,7 +224,7 @@ def test_a_measurement_as_old_as_history_is_used_or_counted(make_pipeline: MakeP
     assert used or time_values(pipeline)["dropped"] == "1"
 
 
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, deadline=None, max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.slow
 def test_the_order_of_events_inside_a_period_does_not_matter(

@@ -42,7 +42,8 @@ SHORTER = {
     "study paper": "--runs 2 --steps 10 --jobs 1",
     "study dynamic": "--runs 2 --steps 10 --jobs 1",
     "simulate fast": "--duration 10",
-    "simulate run -p faults_file:=config/": "--duration 60",
+    "simulate run -p faults_file:=config/": "--duration 20",
+    "simulate run --duration 60": "--duration 10",
     "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan --jobs 1",
     "study rates": "--runs 2 --fixes 4 --jobs 1",
 }

@@ -74,8 +74,8 @@ def test_brenner_with_positions_for_truth(tmp_path: Path, succeed: Succeed) -> N
 
 @pytest.mark.slow
 def test_a_long_recording_is_replayed_to_its_end(tmp_path: Path, succeed: Succeed) -> None:
-    """20 minutes of ticks at 10 Hz, a compass, fixes every period; the robot drives on a circle."""
-    start, length_ns = 3 * 10**9, 1200 * 10**9
+    """10 minutes of ticks at 10 Hz, a compass, fixes every period; the robot drives on a circle."""
+    start, length_ns = 3 * 10**9, 600 * 10**9
     speed, rate = 0.3, 0.1
     rng = np.random.default_rng(6)
     with BagWriter(tmp_path / "long") as bag:
@@ -106,7 +106,7 @@ def test_a_long_recording_is_replayed_to_its_end(tmp_path: Path, succeed: Succee
         "-p", "encoder_counts_per_revolution:=500",
     )  # fmt: skip
     with BagReader(tmp_path / "out") as result:
-        assert result.topics["/odom"].message_count >= 3195
+        assert result.topics["/odom"].message_count >= 1595
         last = [result.message(r) for r in result.records({"/odom"})][-1]
     t = (messages.stamp_ns(last) - start) * 1e-9
     truth = [3.0 * math.sin(rate * t), 3.0 - 3.0 * math.cos(rate * t)]

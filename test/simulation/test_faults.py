@@ -246,7 +246,7 @@ def built(field: Any) -> Any:
     return field
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.lists(entries(), max_size=6, unique_by=target), st.sampled_from([8, 32]))
 @pytest.mark.slow
 def test_any_timeline_sends_messages_that_can_be_sent(
@@ -255,7 +255,7 @@ def test_any_timeline_sends_messages_that_can_be_sent(
     faults = faults_from(timeline)
     robot = FakeRobot(build(FakeRobotParameters, {"encoder_bits": bits}), START_NS, faults)
     truth = 0
-    for _ in range(80 * 5):
+    for _ in range(80 * 4):
         for topic, message in robot.step():
             assert message.type_name == OUTPUT_TYPES[topic]
             data = TYPESTORE.serialize_cdr(built(message), message.type_name)
@@ -266,7 +266,7 @@ def test_any_timeline_sends_messages_that_can_be_sent(
                 truth += 1
                 assert np.all(np.isfinite(messages.planar_pose(back)))
                 assert messages.stamp_ns(back) == robot.stamp_ns
-    assert truth == 40
+    assert truth == 32
 
 
 @pytest.mark.slow

@@ -50,23 +50,23 @@ def test_a_slipping_robot_slips_by_the_factor_and_the_ticks_do_not_see_it() -> N
         robot = FakeRobot(parameters, 0, faults)
         robot.set_command(0.3, 0.0)
         truth, ticks = [], []
-        for _ in range(30 * 400):
+        for _ in range(30 * 200):
             for sent in robot.step():
                 if sent.topic == "ground_truth":
                     truth.append(pose(Heard(0.0, sent.topic, sent.message))[2])
                 if sent.topic == "left_ticks":
                     ticks.append(sent.message.fields["data"])
-        assert ticks[-1] == pytest.approx(0.3 * 150.0 / (math.pi * 0.05 / 500.0), abs=40)
+        assert ticks[-1] == pytest.approx(0.3 * 75.0 / (math.pi * 0.05 / 500.0), abs=40)
         return np.asarray(wrap_angle(np.diff(truth[2::3])))  # truth comes three times a period
 
     usual = turns()
-    thrice = turns(Slip(start=75.0, duration=60.0, factor=3.0))
-    expected = usual * np.where((np.arange(399) >= 199) & (np.arange(399) < 359), 3.0, 1.0)
+    thrice = turns(Slip(start=37.5, duration=30.0, factor=3.0))
+    expected = usual * np.where((np.arange(199) >= 99) & (np.arange(199) < 179), 3.0, 1.0)
     differs = np.abs(thrice - expected) > 1e-12
-    # Periods 198 and 358 hold its first step and the first one after it.
-    assert set(np.flatnonzero(differs)) <= {198, 358}
+    # Periods 98 and 178 hold its first step and the first one after it.
+    assert set(np.flatnonzero(differs)) <= {98, 178}
     given = turns(Slip(start=0.0, std=(0.0, 0.05)))
-    assert np.std(given) == pytest.approx(0.05, rel=6.0 / math.sqrt(2.0 * 400))
+    assert np.std(given) == pytest.approx(0.05, rel=6.0 / math.sqrt(2.0 * 200))
 
 
 def test_a_wheel_of_another_radius_turns_the_robot_and_not_the_ticks() -> None:

@@ -20,7 +20,6 @@ from fnn_ekf_ros.study.fault_naming import (
     NAMING_CASES,
     ONSET_S,
     Setting,
-    name_fault,
     quiet_run,
     reports,
 )
@@ -46,17 +45,6 @@ def test_faults_have_names_of_their_own_and_every_sensor_has_some() -> None:
             assert wheels or fault.targets() == (case.sensor,)
 
 
-@pytest.mark.parametrize(("name", "seed"), zip(SUBSET, (1, 2), strict=True))
-@pytest.mark.slow
-def test_a_failing_sensor_is_named_and_nobody_else(name: str, seed: int) -> None:
-    case = next(case for case in NAMING_CASES if case.name == name)
-    naming = name_fault(case, setting(seed), np.random.default_rng(seed))
-    assert ONSET_S[0] <= naming.onset_s <= ONSET_S[1]
-    assert naming.right, naming
-    assert naming.first
-    assert 0.0 <= naming.named_s < NAMED_WITHIN_S / 3.0
-
-
 @pytest.mark.slow
 def test_a_flat_tyre_is_told_by_its_wheel_and_its_size() -> None:
     (case,) = (case for case in NAMING_CASES if case.name == "flat_tyre")
@@ -78,8 +66,8 @@ def test_a_flat_tyre_is_told_by_its_wheel_and_its_size() -> None:
 
 @pytest.mark.slow
 def test_a_robot_without_faults_is_well() -> None:
-    quiet = quiet_run(setting(5), 60.0)
-    assert 50 <= quiet.reports <= 60
+    quiet = quiet_run(setting(5), 40.0)
+    assert 30 <= quiet.reports <= 40
     assert quiet.warned == 0, quiet.words
 
 
@@ -93,11 +81,13 @@ def test_a_start_is_told_a_wrong_noise() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_writes_tables_and_numbers(tmp_path: Path, succeed: Callable[..., str]) -> None:
+def test_the_command_names_each_failing_sensor_and_writes_tables_and_numbers(
+    tmp_path: Path, succeed: Callable[..., str]
+) -> None:
     out = tmp_path / "out"
     said = succeed(
         "study", "faults", "--out", out, "--runs", 1, "--faults", ",".join(SUBSET),
-        "--quiet-runs", 1, "--quiet-seconds", 10, "--jobs", 2,
+        "--quiet-runs", 1, "--quiet-seconds", 5, "--jobs", 2,
     )  # fmt: skip
     shares = (
         "of 2 faults named in time 2 (100.0%), before any other sensor 2 (100.0%), "
@@ -108,14 +98,18 @@ def test_the_command_writes_tables_and_numbers(tmp_path: Path, succeed: Callable
     assert found["faults"] == list(SUBSET)
     assert [row["fault"] for row in found["results"]] == list(SUBSET)
     assert all(
-        row["alone"] and row["first"] and row["named"] and 0.0 <= row["named_s"] < 30.0
+        row["alone"]
+        and row["first"]
+        and row["named"]
+        and 0.0 <= row["named_s"] < NAMED_WITHIN_S / 3.0
         for row in found["results"]
     )
-    assert len({row["onset_s"] for row in found["results"]}) == 1
+    (onset_s,) = {row["onset_s"] for row in found["results"]}
+    assert ONSET_S[0] <= onset_s <= ONSET_S[1]
     assert len(found["quiet"]) == 5 * 2
-    assert all(5 <= row["reports"] <= 10 for row in found["quiet"])
+    assert all(2 <= row["reports"] <= 5 for row in found["quiet"])
     tables = (out / "results.md").read_text()
-    assert "`study faults --runs 1 --quiet-runs 1 --quiet-seconds 10 --seed 1 --faults" in tables
+    assert "`study faults --runs 1 --quiet-runs 1 --quiet-seconds 5 --seed 1 --faults" in tables
     assert "| compass_bias | off by 1.5 rad | compass | 1 of 1 | 1 | 1 |" in tables
     assert f"All: {shares}." in tables
     assert tables.count("| right start |") == 2

@@ -20,6 +20,8 @@ from fnn_ekf_ros.study.monte_carlo import STUDIES
 from fnn_ekf_ros.study.workers import Workers, available_cpus, in_any_order
 
 ENDS_WITHIN_S = 30.0
+HEARS_SIGINT = ["env", "--default-signal=INT"]
+"""A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -89,7 +91,7 @@ def test_the_default_is_the_number_of_cpus_that_may_be_used() -> None:
 def test_no_process_outlives_the_command(tmp_path: Path, number: signal.Signals) -> None:
     words = ["study", "grid", "--out", str(tmp_path), "--jobs", "2", "--runs", "50"]
     command = subprocess.Popen(
-        [sys.executable, "-m", "fnn_ekf_ros", *words],
+        [*HEARS_SIGINT, sys.executable, "-m", "fnn_ekf_ros", *words],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     try:
