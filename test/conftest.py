@@ -4,7 +4,8 @@
 """What the unit tests share: parameters, pipelines, simulated runs, commands and bags."""
 
 import functools
-from collections.abc import Callable, Iterable
+import signal
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -24,6 +25,9 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 from fnn_ekf_ros.timeline.events import Output, Rejected
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What commands and nodes handle themselves."""
 
 
 class Ran(NamedTuple):
@@ -133,8 +137,9 @@ def same_estimates() -> Callable[[list[Output], list[Output]], None]:
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
-    """Runs a command as from a shell."""
+def run(capsys: pytest.CaptureFixture[str]) -> Iterator[Callable[..., Ran]]:
+    """Runs a command as from a shell; afterwards signals do again what they did."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
 
     def command(name: str, *argv: object) -> Ran:
         capsys.readouterr()
@@ -142,7 +147,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
         caught = capsys.readouterr()
         return Ran(code, caught.out, caught.err)
 
-    return command
+    yield command
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture

@@ -161,10 +161,11 @@ def test_right_readings_are_rejected_as_often_as_was_asked_for(
     state = start_filter(model_, np.zeros((3, robots)), START_COVARIANCE)
     rejected = []
     for epochs in zip(*alone, strict=True):
-        together = [
-            np.stack(values, axis=-1) for values in zip(*(e[:4] for e in epochs), strict=True)
-        ]
-        period = Epoch(together[0], epochs[0].duration_s, together[2], together[3])
+        control, z, rows = (
+            np.stack([getattr(epoch, name) for epoch in epochs], axis=-1)
+            for name in ("control", "measurement", "available")
+        )
+        period = Epoch(control, epochs[0].duration_s, z, rows)
         _, result = step(model_, state._replace(gate=start_gate((robots,))), [period])
         state, _ = step(dataclasses.replace(model_, gate=OPEN_GATE), state, [period])
         rejected.append(result.rejected)

@@ -30,6 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import fields_of
+from fnn_ekf_ros.ros import localizer as localizer_module
 
 pytestmark = pytest.mark.live
 ASK_AGAIN_S = 10.0
@@ -325,12 +326,18 @@ def test_hostile_messages_do_not_end_the_node(
     ],
 )
 def test_wrong_parameters_end_the_node_with_one_line(
-    processes: Any, arguments: list[str], expected: str
+    run: Callable[..., Any],
+    ros_environment: None,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    expected: str,
 ) -> None:
-    ended = processes.run("localizer", "--ros-args", *arguments)
-    assert ended.returncode == 1
-    lines = ended.stderr.strip().splitlines()
-    assert len(lines) == 1, ended.stderr
+    """In this process: others test that what a command says and returns leaves its process."""
+    monkeypatch.setattr(localizer_module, "spin_until_stopped", lambda _: pytest.fail("it runs"))
+    ended = run("localizer", "--ros-args", *arguments)
+    assert (ended.code, ended.out) == (1, "")
+    lines = ended.err.strip().splitlines()
+    assert len(lines) == 1, ended.err
     assert lines[0].startswith("localizer: ")
     assert expected in lines[0]
 

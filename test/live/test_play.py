@@ -216,11 +216,14 @@ def test_live_equals_replay_on_a_real_robot(
     ],
 )
 def test_wrong_play_arguments_end_it_with_one_line(
-    processes: Any, bags: Path, arguments: list[str], expected: str
+    run: Callable[..., Any],
+    ros_environment: None,
+    bags: Path,
+    arguments: list[str],
+    expected: str,
 ) -> None:
-    given = [str(bags / "round") if word == "BAG" else word for word in arguments]
-    ended = processes.run("play", *given)
-    assert ended.returncode == 1
-    lines = ended.stderr.strip().splitlines()
-    assert len(lines) == 1, ended.stderr
+    ended = run("play", *[bags / "round" if word == "BAG" else word for word in arguments])
+    assert ended.code == 1
+    lines = ended.err.strip().splitlines()
+    assert len(lines) == 1, ended.err
     assert expected in lines[0]

@@ -14,6 +14,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.ros import localizer as localizer_module
 
 pytestmark = pytest.mark.live
 
@@ -184,14 +185,17 @@ def test_without_tf2_msgs_the_node_says_so_and_ends(processes: Any) -> None:
     )
 
 
-def test_frames_of_the_same_name_are_refused(processes: Any) -> None:
-    ended = processes.run(
+def test_frames_of_the_same_name_are_refused(
+    run: Callable[..., Any], ros_environment: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(localizer_module, "spin_until_stopped", lambda _: pytest.fail("it runs"))
+    ended = run(
         "localizer", "--ros-args", "-p", "wheel_radius:=0.025", "-p", "wheel_separation:=0.6",
         "-p", "encoder_counts_per_revolution:=500.0", "-p", "publish_tf:=true",
         "-p", "odom_frame:=map",
     )  # fmt: skip
-    assert ended.returncode == 1
-    assert ended.stderr.strip() == (
+    assert ended.code == 1
+    assert ended.err.strip() == (
         "localizer: parameter 'publish_tf' is True: expected frames of different names, not map, "
         "base_link, map"
     )

@@ -97,13 +97,8 @@ def test_the_command_names_each_failing_sensor_and_writes_tables_and_numbers(
     found = json.loads((out / "results.json").read_text())
     assert found["faults"] == list(SUBSET)
     assert [row["fault"] for row in found["results"]] == list(SUBSET)
-    assert all(
-        row["alone"]
-        and row["first"]
-        and row["named"]
-        and 0.0 <= row["named_s"] < NAMED_WITHIN_S / 3.0
-        for row in found["results"]
-    )
+    assert all(row["alone"] and row["first"] and row["named"] for row in found["results"])
+    assert all(0.0 <= row["named_s"] < NAMED_WITHIN_S / 3.0 for row in found["results"])
     (onset_s,) = {row["onset_s"] for row in found["results"]}
     assert ONSET_S[0] <= onset_s <= ONSET_S[1]
     assert len(found["quiet"]) == 5 * 2
