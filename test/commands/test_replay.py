@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import Refuse, Succeed, contents, parameters_of, records
+from localizers import make_pipeline
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.saved_state import SavedState
 from fnn_ekf_ros.localizer.state_file import StateFile
 from fnn_ekf_ros.messages import Message
@@ -147,7 +147,7 @@ def test_replay_copies_all_and_adds_its_own(
 
 @pytest.mark.slow
 def test_replay_gives_what_the_pipeline_gives(
-    tmp_path: Path, recorded: Path, succeed: Succeed, make_pipeline: Callable[..., Localizer]
+    tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
     out = tmp_path / "out"
     succeed("replay", recorded, out, "--params", parameters_of(recorded), "-p", "adaptation:=r")

@@ -6,20 +6,19 @@
 import dataclasses
 import itertools
 import json
-from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import Refuse, Succeed
+from localizers import make_parameters
 
 from fnn_ekf_ros.commands.train import EPOCHS
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.fuzzy import infer
 from fnn_ekf_ros.membership.files import networks_for, read_membership, write_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.study.filters import run as run_filter
 from fnn_ekf_ros.study.recording import Start
 from fnn_ekf_ros.study.scenarios import NOMINAL, record
@@ -70,9 +69,7 @@ def test_the_packaged_set_is_what_the_command_writes(tmp_path: Path, succeed: Su
 
 
 @pytest.mark.slow
-def test_the_packaged_set_beats_the_papers(
-    make_parameters: Callable[..., LocalizerParameters],
-) -> None:
+def test_the_packaged_set_beats_the_papers() -> None:
     """RMSE over the oracle's, mean of x, y, theta, from a right and from two wrong starts."""
     rng = np.random.default_rng(31)
     recording = record(FakeRobotParameters(path="sim1"), NOMINAL, 200, 60, rng)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import statuses
+from localizers import Arrival, feed, make_pipeline, same_estimates, simulated, statuses
 
 from fnn_ekf_ros.localizer import history
 from fnn_ekf_ros.timeline.events import CompassYaw, Level, Output, PoseFix, Status, WheelCount
@@ -25,9 +25,7 @@ def without(arrivals: Any, kind: type, after_ns: int) -> list[Any]:
 
 
 @pytest.mark.slow
-def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is(
-    make_pipeline: Any, feed: Any, simulated: Any
-) -> None:
+def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is() -> None:
     pipeline = make_pipeline()
     outputs = feed(pipeline, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
     status = last_status(outputs)
@@ -42,9 +40,7 @@ def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is(
     assert "no yaw" not in status.message
 
 
-def test_a_filter_without_fixes_and_with_poor_wheels_is_lost(
-    make_pipeline: Any, feed: Any, simulated: Any
-) -> None:
+def test_a_filter_without_fixes_and_with_poor_wheels_is_lost() -> None:
     pipeline = make_pipeline(adaptation="none", process_noise_std=[2.0, 0.05])
     outputs = feed(pipeline, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
     status = last_status(outputs)
@@ -52,7 +48,7 @@ def test_a_filter_without_fixes_and_with_poor_wheels_is_lost(
     assert status.message.startswith("lost: no fix accepted while driving")
 
 
-def test_a_filter_without_a_compass_says_so(make_pipeline: Any, feed: Any, simulated: Any) -> None:
+def test_a_filter_without_a_compass_says_so() -> None:
     silent = without(simulated(11, 30.0).arrivals, CompassYaw, FIX_LOST_NS)
     status = last_status(feed(make_pipeline(), silent))
     assert status.level is Level.WARN
@@ -60,13 +56,11 @@ def test_a_filter_without_a_compass_says_so(make_pipeline: Any, feed: Any, simul
     assert float(dict(status.values)["driving since the last yaw [s]"]) > 10.0
 
 
-def test_a_kidnapped_robot_is_told_of_once(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
-) -> None:
+def test_a_kidnapped_robot_is_told_of_once() -> None:
     arrivals = [
-        arrival(now_ns, event._replace(pose=event.pose + np.array([12.0, 16.0, 0.0])))
+        Arrival(now_ns, event._replace(pose=event.pose + np.array([12.0, 16.0, 0.0])))
         if isinstance(event, PoseFix) and now_ns > FIX_LOST_NS
-        else arrival(now_ns, event)
+        else Arrival(now_ns, event)
         for now_ns, event in simulated(11, 30.0).arrivals
     ]
     outputs = feed(make_pipeline(), arrivals)
@@ -100,9 +94,7 @@ def test_a_kidnapped_robot_is_told_of_once(
     ],
 )  # fmt: skip
 @pytest.mark.slow
-def test_noise_that_starts_at_its_bound_is_told(
-    make_pipeline: Any, feed: Any, simulated: Any, changes: dict[str, Any], words: str
-) -> None:
+def test_noise_that_starts_at_its_bound_is_told(changes: dict[str, Any], words: str) -> None:
     arrivals = simulated(11, 30.0).arrivals[:1500]
     found = statuses(feed(make_pipeline(**changes), arrivals), "filter")
     first = next(s for s in found if "bound" in s.message)
@@ -112,30 +104,28 @@ def test_noise_that_starts_at_its_bound_is_told(
     assert not any("bound" in status.message for status in statuses(fixed, "filter"))
 
 
-def spoiled(arrivals: Any, arrival: Any) -> list[Any]:
+def spoiled(arrivals: Any) -> list[Any]:
     """Return arrivals with a compass that is turned from 15 s on."""
     return [
-        arrival(now_ns, event._replace(yaw=event.yaw + 1.5))
+        Arrival(now_ns, event._replace(yaw=event.yaw + 1.5))
         if isinstance(event, CompassYaw) and now_ns > FIX_LOST_NS
-        else arrival(now_ns, event)
+        else Arrival(now_ns, event)
         for now_ns, event in arrivals
     ]
 
 
-def late_fixes(arrivals: Any, arrival: Any) -> list[Any]:
+def late_fixes(arrivals: Any) -> list[Any]:
     """Return arrivals of which every fourth fix comes 1 s late, with the stamp it has."""
     late, count = [], 0
     for now_ns, event in arrivals:
         count += isinstance(event, PoseFix)
         delayed = isinstance(event, PoseFix) and count % 4 == 0
-        late.append(arrival(now_ns + 10**9 * delayed, event))
+        late.append(Arrival(now_ns + 10**9 * delayed, event))
     return sorted(late, key=lambda a: a.now_ns)
 
 
-def test_a_turned_compass_is_named_and_nobody_else(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
-) -> None:
-    outputs = feed(make_pipeline(), spoiled(simulated(11, 30.0).arrivals, arrival))
+def test_a_turned_compass_is_named_and_nobody_else() -> None:
+    outputs = feed(make_pipeline(), spoiled(simulated(11, 30.0).arrivals))
     warned = {s.name for o in outputs if o.estimate for s in o.statuses or () if s.level}
     assert warned == {"compass", "filter"}
     assert "compass disagrees with the wheels and the fixes" in last_status(outputs).message
@@ -149,15 +139,9 @@ def test_a_turned_compass_is_named_and_nobody_else(
 @pytest.mark.parametrize("mode", ["none", "joint"])
 @pytest.mark.slow
 def test_who_is_suspected_never_touches_the_estimates(
-    make_pipeline: Any,
-    feed: Any,
-    simulated: Any,
-    arrival: Any,
-    same_estimates: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    mode: str,
+    monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
-    arrivals = late_fixes(spoiled(simulated(11, 30.0).arrivals, arrival), arrival)
+    arrivals = late_fixes(spoiled(simulated(11, 30.0).arrivals))
     watched = feed(make_pipeline(adaptation=mode), arrivals)
     assert any("disagrees" in status.message for status in statuses(watched, "filter"))
     monkeypatch.setattr(history, "recent_after", lambda *_: None)
@@ -167,18 +151,16 @@ def test_who_is_suspected_never_touches_the_estimates(
 
 
 @pytest.mark.slow
-def test_late_measurements_are_judged_as_if_they_had_come_in_time(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
-) -> None:
-    arrivals = spoiled(simulated(11, 30.0).arrivals, arrival)
+def test_late_measurements_are_judged_as_if_they_had_come_in_time() -> None:
+    arrivals = spoiled(simulated(11, 30.0).arrivals)
     arrivals = [a for a in arrivals if a.now_ns < arrivals[-1].now_ns - 2 * 10**9]
     rest = [a for a in arrivals if isinstance(a.event, WheelCount)][-1]
     told = []
-    for heard in (arrivals, late_fixes(arrivals, arrival)):
+    for heard in (arrivals, late_fixes(arrivals)):
         pipeline = make_pipeline()
         feed(pipeline, heard)
         for wait_ns in (10**9, 2 * 10**9):  # the last periods, and all that was late
-            feed(pipeline, [arrival(rest.now_ns + wait_ns, rest.event._replace(
+            feed(pipeline, [Arrival(rest.now_ns + wait_ns, rest.event._replace(
                 stamp_ns=rest.now_ns + wait_ns))])  # fmt: skip
         values: dict[str, str] = {}
         for status in pipeline.report():

@@ -4,13 +4,12 @@
 """The messages of /diagnostics are a finite set, and so are the keys of their values."""
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from diagnostic_tables import message_tables
-from localizers import SECOND_NS
+from localizers import SECOND_NS, make_pipeline
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.diagnostics.messages import (
@@ -70,9 +69,7 @@ def test_messages_are_filled_and_joined() -> None:
 
 @pytest.mark.parametrize("case", NAMING_CASES, ids=lambda case: case.name)
 @pytest.mark.slow
-def test_every_message_in_a_run_with_a_fault_is_listed(
-    make_pipeline: Callable[..., Any], case: FaultCase
-) -> None:
+def test_every_message_in_a_run_with_a_fault_is_listed(case: FaultCase) -> None:
     localizer = make_pipeline()
     robot = FakeRobotParameters(path="sim1", seed=3)
     told = []
@@ -83,7 +80,7 @@ def test_every_message_in_a_run_with_a_fault_is_listed(
     assert told
 
 
-def test_the_messages_of_clocks_and_stamps_are_listed(make_pipeline: Callable[..., Any]) -> None:
+def test_the_messages_of_clocks_and_stamps_are_listed() -> None:
     localizer = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
     now_ns = 100 * SECOND_NS
     localizer.advance(now_ns)
@@ -123,6 +120,6 @@ def test_the_messages_of_clocks_and_stamps_are_listed(make_pipeline: Callable[..
     assert values["last overrun [s]"] == "0.50"
 
 
-def test_every_message_of_a_status_is_text(make_pipeline: Callable[..., Any]) -> None:
+def test_every_message_of_a_status_is_text() -> None:
     made = messages.diagnostics(SECOND_NS, "localizer", make_pipeline().report())
     assert {type(status.fields["message"]) for status in made.fields["status"]} == {str}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from localizers import Arrival, as_object, feed, make_pipeline, simulated
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.joint_state import HYPOTHESES, JointReport
@@ -39,9 +40,7 @@ def numbers(text: str) -> list[float]:
     return [float(word) for word in re.findall(r"\d+(?:\.\d+)?(?:e[-+]\d+)?", text)]
 
 
-def test_health_has_its_five_parts_about_once_a_second(
-    make_pipeline: Any, feed: Any, simulated: Any
-) -> None:
+def test_health_has_its_five_parts_about_once_a_second() -> None:
     outputs = feed(make_pipeline(), simulated(11, 30.0).arrivals)
     reports = [output for output in outputs if output.statuses is not None]
     assert 28 <= len(reports) <= 34
@@ -51,7 +50,7 @@ def test_health_has_its_five_parts_about_once_a_second(
     assert {status.level for status in reports[-1].statuses} == {Level.OK}
 
 
-def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulated: Any) -> None:
+def test_a_silent_sensor_is_warned_about() -> None:
     arrivals = simulated(11, 30.0).arrivals
     silent = [
         a for a in arrivals
@@ -69,14 +68,12 @@ def test_a_silent_sensor_is_warned_about(make_pipeline: Any, feed: Any, simulate
 PARKED_NS = 15 * 10**9
 
 
-def parked(
-    arrivals: Any, arrival: Any, silent: tuple[type, ...], seconds: int, rate: int = 10
-) -> list[Any]:
+def parked(arrivals: Any, silent: tuple[type, ...], seconds: int, rate: int = 10) -> list[Any]:
     """Return arrivals of a robot that stops at 15 s; only some of its sensors go on."""
     before = [a for a in arrivals if a.now_ns <= PARKED_NS]
     last = {(type(e), getattr(e, "wheel", None)): e for _, e in before}
     return before + [
-        arrival(stamp, event._replace(stamp_ns=stamp))
+        Arrival(stamp, event._replace(stamp_ns=stamp))
         for number in range(1, seconds * rate)
         for stamp in [PARKED_NS + number * 10**9 // rate]
         for event in last.values()
@@ -93,13 +90,11 @@ def levels_of(outputs: list[Output]) -> dict[str, set[Level]]:
     return found
 
 
-def test_a_parked_robot_needs_no_fixes(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
-) -> None:
+def test_a_parked_robot_needs_no_fixes() -> None:
     """Fixes and yaws of a map, as AMCL sends them: none while the robot stands."""
     changes = {"adaptation": "none", "lrf_use_yaw": True, "process_noise_std": [0.05, 0.2]}
     arrivals = simulated(11, 30.0).arrivals
-    silent = parked(arrivals, arrival, (PoseFix, CompassYaw), 40)
+    silent = parked(arrivals, (PoseFix, CompassYaw), 40)
     moving = [a for a in silent if not isinstance(a.event, CompassYaw)]
     outputs = feed(make_pipeline(**changes), moving)
     assert {level for levels in levels_of(outputs).values() for level in levels} == {Level.OK}
@@ -111,17 +106,15 @@ def test_a_parked_robot_needs_no_fixes(
     assert float(dict(last["filter"].values)["yaw std [rad]"]) > 1.0
 
 
-def test_a_robot_that_drives_on_needs_fixes_soon(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
-) -> None:
+def test_a_robot_that_drives_on_needs_fixes_soon() -> None:
     pause = 20 * 10**9
     arrivals = simulated(11, 30.0).arrivals
     on = [
-        arrival(now_ns + pause, event._replace(stamp_ns=event.stamp_ns + pause))
+        Arrival(now_ns + pause, event._replace(stamp_ns=event.stamp_ns + pause))
         for now_ns, event in arrivals
         if now_ns > PARKED_NS and not isinstance(event, PoseFix)
     ]
-    stopped = parked(arrivals, arrival, (PoseFix,), 20)
+    stopped = parked(arrivals, (PoseFix,), 20)
     outputs = feed(make_pipeline(), stopped + on)
     first = {
         name: next(
@@ -134,16 +127,14 @@ def test_a_robot_that_drives_on_needs_fixes_soon(
     assert 4.0 <= (first["filter"] - PARKED_NS - pause) * 1e-9 <= 6.5
 
 
-def test_a_compass_goes_on_while_the_robot_is_parked(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any
-) -> None:
-    silent = parked(simulated(11, 30.0).arrivals, arrival, (CompassYaw,), 20)
+def test_a_compass_goes_on_while_the_robot_is_parked() -> None:
+    silent = parked(simulated(11, 30.0).arrivals, (CompassYaw,), 20)
     found = levels_of(feed(make_pipeline(), silent))
     assert found["compass"] == {Level.OK, Level.WARN}
     assert found["lrf_pose"] == {Level.OK}
 
 
-def test_refused_messages_are_warned_about_once(make_pipeline: Any, as_object: Any) -> None:
+def test_refused_messages_are_warned_about_once() -> None:
     pipeline = make_pipeline()
     fix = messages.Message(
         messages.POSE_TYPE,
@@ -193,9 +184,7 @@ def test_the_hypothesis_that_weighs_most_is_the_reason(leader: int) -> None:
 
 
 @pytest.mark.slow
-def test_the_noise_of_joint_adaptation_is_reported(
-    make_pipeline: Any, feed: Any, simulated: Any
-) -> None:
+def test_the_noise_of_joint_adaptation_is_reported() -> None:
     """Fixes' and compass noise five times too large: it has to say so, and to run on it."""
     start = [0.5, 0.5, 0.67]
     pipeline = make_pipeline(adaptation="joint", measurement_noise_std=start, lrf_yaw_std=0.67)
@@ -216,9 +205,7 @@ def test_the_noise_of_joint_adaptation_is_reported(
 
 
 @pytest.mark.parametrize("mode", ["none", "r", "q", "rq"])
-def test_other_modes_report_no_estimated_noise(
-    make_pipeline: Any, feed: Any, simulated: Any, mode: str
-) -> None:
+def test_other_modes_report_no_estimated_noise(mode: str) -> None:
     values = filter_values(feed(make_pipeline(adaptation=mode), simulated(11, 30.0).arrivals))
     assert values
     for value in values:
@@ -226,9 +213,7 @@ def test_other_modes_report_no_estimated_noise(
         assert not JOINT_KEYS & value.keys()
 
 
-def test_estimated_noise_is_kept_while_adaptation_is_disabled(
-    make_pipeline: Any, feed: Any, simulated: Any
-) -> None:
+def test_estimated_noise_is_kept_while_adaptation_is_disabled() -> None:
     arrivals = simulated(11, 30.0).arrivals
     middle = len(arrivals) // 2
     pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])

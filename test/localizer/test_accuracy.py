@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from localizers import MakePipeline
+from localizers import feed, make_pipeline, simulated
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -51,7 +51,7 @@ def errors_of(outputs: list[Output], truth: dict[int, FloatArray]) -> Errors:
 
 
 @pytest.fixture(scope="module")
-def errors(make_pipeline: MakePipeline, feed: Any, simulated: Any) -> Callable[..., Errors]:
+def errors() -> Callable[..., Errors]:
     """Errors of a filter on one of the simulated runs."""
 
     @functools.cache

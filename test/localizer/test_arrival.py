@@ -15,10 +15,11 @@ from localizers import (
     PERIOD_NS,
     SECOND_NS,
     START_NS,
-    Feed,
-    MakePipeline,
-    Same,
     estimates,
+    feed,
+    make_pipeline,
+    same_estimates,
+    simulated,
     time_values,
 )
 
@@ -68,9 +69,8 @@ def delayed_in_period(arrivals: Sequence[Any], rng: np.random.Generator) -> list
 )
 @pytest.mark.slow
 def test_neither_delays_nor_the_ticks_of_the_clock_matter(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
-    seed: int, ticks_a_second: int, start: dict[str, Any], adaptation: str,
-) -> None:  # fmt: skip
+    seed: int, ticks_a_second: int, start: dict[str, Any], adaptation: str
+) -> None:
     arrivals = simulated(12, 12.0, "joint_states").arrivals
     rng = np.random.default_rng(seed)
     changes = JOINTS | start | {"adaptation": adaptation}
@@ -91,9 +91,7 @@ def test_neither_delays_nor_the_ticks_of_the_clock_matter(
 
 @pytest.mark.parametrize("kind", ["PoseFix", "CompassYaw", "WheelCount", "all"])
 @pytest.mark.slow
-def test_duplicates_are_counted_and_change_nothing(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, kind: str
-) -> None:
+def test_duplicates_are_counted_and_change_nothing(kind: str) -> None:
     """At once, a little later, and so late that their periods are closed."""
     arrivals = simulated(12, 20.0, "joint_states").arrivals
     twice, repeated = list(arrivals), 0
@@ -115,9 +113,7 @@ def test_duplicates_are_counted_and_change_nothing(
 @settings(derandomize=True, deadline=None, max_examples=4)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.slow
-def test_reordered_messages_count_in_their_order_once_all_are_there(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, seed: int
-) -> None:
+def test_reordered_messages_count_in_their_order_once_all_are_there(seed: int) -> None:
     """Positions, too, and one wheel's base changes in between."""
     arrivals = list(simulated(12, 20.0, "joint_states").arrivals)
     for number, a in enumerate(arrivals):
@@ -143,9 +139,7 @@ def test_reordered_messages_count_in_their_order_once_all_are_there(
 
 
 @pytest.mark.slow
-def test_of_equal_stamps_it_does_not_matter_which_comes_first(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
-) -> None:
+def test_of_equal_stamps_it_does_not_matter_which_comes_first() -> None:
     arrivals = simulated(12, 10.0, "joint_states").arrivals
 
     def other(event: Event) -> Event:
@@ -176,9 +170,7 @@ def late_fixes(arrivals: Sequence[Any], by_ns: int) -> list[Any]:
 
 @pytest.mark.parametrize("adaptation", ["none", "joint"])
 @pytest.mark.slow
-def test_late_fixes_are_in_time_for_an_output_that_waits(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, adaptation: str
-) -> None:
+def test_late_fixes_are_in_time_for_an_output_that_waits(adaptation: str) -> None:
     """Fixes 150 ms late and `output_delay` 0.2: bit for bit the odom of fixes in time."""
     arrivals = simulated(12, 30.0, "joint_states").arrivals
     late = late_fixes(arrivals, 150_000_000)
@@ -197,9 +189,7 @@ def test_late_fixes_are_in_time_for_an_output_that_waits(
 
 @pytest.mark.parametrize("delay", [0.0, 0.1, 0.5, 2.0])
 @pytest.mark.parametrize("complete", [True, False])
-def test_a_period_is_published_so_long_after_its_end(
-    make_pipeline: MakePipeline, delay: float, complete: bool
-) -> None:
+def test_a_period_is_published_so_long_after_its_end(delay: float, complete: bool) -> None:
     """Or `encoder_timeout` after it, if the wheels are not known up to there and that is longer."""
     pipeline = make_pipeline(output_delay=delay, **POSE)
     begin = 10 * PERIOD_NS
@@ -221,7 +211,7 @@ def test_a_period_is_published_so_long_after_its_end(
         assert found == [end]
 
 
-def test_a_pose_that_is_set_twice_at_one_stamp_is_the_last_one(make_pipeline: MakePipeline) -> None:
+def test_a_pose_that_is_set_twice_at_one_stamp_is_the_last_one() -> None:
     """As in a paused simulation: of two commands the last to come counts."""
     pipeline = make_pipeline(adaptation="none", **POSE)
     begin = 10 * PERIOD_NS

@@ -3,11 +3,11 @@
 
 """Parameters that change while the pipeline runs."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from localizers import Arrival, feed, make_parameters, make_pipeline, same_estimates, simulated
 
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
@@ -30,14 +30,7 @@ def noise(outputs: list[Output]) -> np.ndarray[Any, Any]:
 @pytest.mark.parametrize("before", MODES)
 @pytest.mark.parametrize("after", MODES)
 @pytest.mark.slow
-def test_from_any_mode_to_any_other(
-    make_pipeline: Callable[..., Localizer],
-    make_parameters: Callable[..., LocalizerParameters],
-    simulated: Any,
-    feed: Any,
-    before: str,
-    after: str,
-) -> None:
+def test_from_any_mode_to_any_other(before: str, after: str) -> None:
     arrivals = simulated(30, 60.0).arrivals
     middle = len(arrivals) // 2
     pipeline = make_pipeline(adaptation=before, innovation_window=6)
@@ -54,9 +47,7 @@ def test_from_any_mode_to_any_other(
 
 
 @pytest.mark.slow
-def test_a_change_to_the_same_changes_nothing(
-    make_pipeline: Callable[..., Localizer], simulated: Any, feed: Any, same_estimates: Any
-) -> None:
+def test_a_change_to_the_same_changes_nothing() -> None:
     arrivals = simulated(30, 30.0).arrivals
     middle = len(arrivals) // 2
     pipeline = make_pipeline()
@@ -67,12 +58,7 @@ def test_a_change_to_the_same_changes_nothing(
 
 
 @pytest.mark.slow
-def test_new_bounds_hold_from_the_next_period_on(
-    make_pipeline: Callable[..., Localizer],
-    make_parameters: Callable[..., LocalizerParameters],
-    simulated: Any,
-    feed: Any,
-) -> None:
+def test_new_bounds_hold_from_the_next_period_on() -> None:
     arrivals = simulated(30, 40.0).arrivals
     middle = len(arrivals) // 2
     wrong = {"process_noise_std": [0.01, 0.01]}
@@ -86,14 +72,7 @@ def test_new_bounds_hold_from_the_next_period_on(
 
 
 @pytest.mark.slow
-def test_late_inputs_run_the_periods_before_a_change_as_they_were(
-    make_pipeline: Callable[..., Localizer],
-    make_parameters: Callable[..., LocalizerParameters],
-    simulated: Any,
-    feed: Any,
-    arrival: Any,
-    same_estimates: Any,
-) -> None:
+def test_late_inputs_run_the_periods_before_a_change_as_they_were() -> None:
     """A fix that comes 1 s late, after the change, is fused where it was taken."""
     arrivals = simulated(30, 30.0).arrivals
     at_ns = arrivals[0].now_ns + 15 * 10**9
@@ -101,7 +80,7 @@ def test_late_inputs_run_the_periods_before_a_change_as_they_were(
         a for a in arrivals if type(a.event).__name__ == "PoseFix" and a.now_ns > at_ns - 6 * 10**8
     )
     delayed = sorted(
-        (a if a is not late else arrival(a.now_ns + 10**9, a.event) for a in arrivals),
+        (a if a is not late else Arrival(a.now_ns + 10**9, a.event) for a in arrivals),
         key=lambda a: a.now_ns,
     )
     runs = []
@@ -115,13 +94,7 @@ def test_late_inputs_run_the_periods_before_a_change_as_they_were(
 
 @pytest.mark.parametrize("after", ["r", "rq", "joint"])
 @pytest.mark.slow
-def test_noise_that_is_held_stays_held(
-    make_pipeline: Callable[..., Localizer],
-    make_parameters: Callable[..., LocalizerParameters],
-    simulated: Any,
-    feed: Any,
-    after: str,
-) -> None:
+def test_noise_that_is_held_stays_held(after: str) -> None:
     arrivals = simulated(30, 40.0).arrivals
     middle = len(arrivals) // 2
     pipeline = make_pipeline(adaptation="q", innovation_window=6)

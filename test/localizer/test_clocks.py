@@ -3,8 +3,6 @@
 
 """Clocks that are set, that begin at 0, and stamps from the future."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from localizers import (
@@ -12,10 +10,12 @@ from localizers import (
     PERIOD_NS,
     SECOND_NS,
     START_NS,
-    Feed,
-    MakePipeline,
-    Same,
+    Arrival,
     estimates,
+    feed,
+    make_pipeline,
+    same_estimates,
+    simulated,
     status_at_end,
     time_values,
 )
@@ -27,9 +27,7 @@ from fnn_ekf_ros.timeline.events import (
 
 @pytest.mark.parametrize("step_s", [0.3, 1.5, 30.0, 300.0])
 @pytest.mark.slow
-def test_a_clock_that_is_set_forward_costs_certainty_only(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, step_s: float
-) -> None:
+def test_a_clock_that_is_set_forward_costs_certainty_only(step_s: float) -> None:
     """The time between is filled; the way since is counted, and the fixes find it again."""
     run = simulated(12, 40.0, "joint_states")
     set_ns, step_ns = START_NS + 20 * SECOND_NS, round(step_s * 1e9)
@@ -56,9 +54,7 @@ def test_a_clock_that_is_set_forward_costs_certainty_only(
 @pytest.mark.parametrize("source", ["ticks", "joint_states"])
 @pytest.mark.parametrize("step_s", [-0.2, -1.0, -1.9, -2.1, -100.0])
 @pytest.mark.slow
-def test_a_clock_that_is_set_back_does_not_lose_the_robot(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, step_s: float, source: str
-) -> None:
+def test_a_clock_that_is_set_back_does_not_lose_the_robot(step_s: float, source: str) -> None:
     run = simulated(12, 40.0, source)
     set_ns, step_ns = START_NS + 20 * SECOND_NS, round(step_s * 1e9)
     later = 200 * SECOND_NS
@@ -79,9 +75,7 @@ def test_a_clock_that_is_set_back_does_not_lose_the_robot(
 
 
 @pytest.mark.slow
-def test_simulated_time_may_begin_at_0(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
-) -> None:
+def test_simulated_time_may_begin_at_0() -> None:
     arrivals = simulated(12, 15.0, "joint_states").arrivals
     moved = [
         a._replace(
@@ -100,16 +94,13 @@ def test_simulated_time_may_begin_at_0(
 
 @pytest.mark.parametrize(("ahead_s", "kept"), [(0.9, True), (1.1, False)])
 @pytest.mark.slow
-def test_a_position_from_the_future_does_not_close_what_is_open(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any,
-    ahead_s: float, kept: bool,
-) -> None:  # fmt: skip
+def test_a_position_from_the_future_does_not_close_what_is_open(ahead_s: float, kept: bool) -> None:
     """One message whose stamp is wrong: it is dropped, or used only when its time has come."""
     run = simulated(12, 20.0, "joint_states")
     now = START_NS + 10 * SECOND_NS + 1
     before = [a for a in run.arrivals if a.now_ns < now]
     wrong = [
-        arrival(now, a.event._replace(stamp_ns=now + round(ahead_s * 1e9)))
+        Arrival(now, a.event._replace(stamp_ns=now + round(ahead_s * 1e9)))
         for a in before[-12:] if isinstance(a.event, WheelCount)
     ][-2:]  # fmt: skip
     pipeline = make_pipeline(adaptation="none", **JOINTS)

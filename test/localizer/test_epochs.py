@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import PERIOD_NS, SECOND_NS, Feed, MakePipeline, Same, estimates
+from localizers import (
+    PERIOD_NS,
+    SECOND_NS,
+    Arrival,
+    estimates,
+    feed,
+    joints_pipeline,
+    make_parameters,
+    same_estimates,
+)
 
 from fnn_ekf_ros.core import filter as filter_module
 from fnn_ekf_ros.core.angles import wrap_angle
@@ -50,7 +59,6 @@ COMPASS, FIX, BOTH, NONE = (
     [True, True, True, False],
     [False] * 4,
 )
-MakeParameters = Callable[..., LocalizerParameters]
 
 
 def compass(stamp_ns: int, yaw: float = 0.0) -> CompassYaw:
@@ -91,16 +99,16 @@ def readings(
     return found
 
 
-def in_time(events: Sequence[Event], seconds: float, arrival: Any) -> list[Any]:
+def in_time(events: Sequence[Event], seconds: float) -> list[Any]:
     """Return readings and the wheels' as arriving at their stamps, until a little later."""
     begin, end = BEGIN_NS - 2 * SECOND_NS, BEGIN_NS + round(seconds * 1e9) + SECOND_NS
     turned = [e for stamp in range(begin, end, WHEEL_STEP_NS) for e in wheels(stamp)]
     ordered = sorted([*events, *turned], key=lambda event: event.stamp_ns)
-    return [arrival(event.stamp_ns, event) for event in ordered]
+    return [Arrival(event.stamp_ns, event) for event in ordered]
 
 
 @pytest.fixture
-def cut(make_parameters: MakeParameters) -> Callable[..., PeriodInputs]:
+def cut() -> Callable[..., PeriodInputs]:
     """Cuts the period from `BEGIN_NS` to `END_NS` at readings; the robot turns on a circle."""
 
     def run(
@@ -253,9 +261,7 @@ def test_what_the_wheels_did_before_and_was_not_known_falls_into_the_first_epoch
     np.testing.assert_allclose(late.control - plain.control, [0.04, 0.0], atol=1e-12)
 
 
-def test_a_robot_does_not_move_in_epochs_before_both_wheels_have_spoken(
-    make_parameters: MakeParameters,
-) -> None:
+def test_a_robot_does_not_move_in_epochs_before_both_wheels_have_spoken() -> None:
     buffer = InputBuffer(make_parameters(encoder_source="joint_states"))
     spoke = {Wheel.LEFT: BEGIN_NS + 50 * MS, Wheel.RIGHT: BEGIN_NS + 200 * MS}  # one would turn it
     for stamp in range(BEGIN_NS, END_NS + SECOND_NS, WHEEL_STEP_NS):
@@ -309,12 +315,10 @@ def sensor_statuses(outputs: list[Output], name: str) -> list[Status]:
 
 @pytest.mark.parametrize("sensor", ["compass", "lrf_pose"])
 @pytest.mark.slow
-def test_a_sensor_that_is_too_fast_is_thinned_and_told(
-    pipeline: MakePipeline, feed: Feed, arrival: Any, sensor: str
-) -> None:
+def test_a_sensor_that_is_too_fast_is_thinned_and_told(sensor: str) -> None:
     rates = {"compass_hz": 500.0} if sensor == "compass" else {"fix_hz": 500.0}
-    arrivals = in_time(readings(3.0, **rates), 3.0, arrival)
-    ran = pipeline(adaptation="none")
+    arrivals = in_time(readings(3.0, **rates), 3.0)
+    ran = joints_pipeline(adaptation="none")
     outputs = feed(ran, arrivals)
     told = [s for s in sensor_statuses(outputs, sensor) if "too fast" in s.message]
     assert len(told) >= 2
@@ -342,12 +346,10 @@ def test_a_sensor_that_is_too_fast_is_thinned_and_told(
     ("rate_hz", "period"), [(100.0, 0.375), (190.0, 0.375), (250.0, 0.375), (200.0, 0.29)]
 )
 @pytest.mark.slow
-def test_a_fast_sensor_is_not_thinned(
-    pipeline: MakePipeline, feed: Feed, arrival: Any, rate_hz: float, period: float
-) -> None:
+def test_a_fast_sensor_is_not_thinned(rate_hz: float, period: float) -> None:
     """Up to 250 Hz; 0.29 s times 200 Hz is a little less than 58 in floating point."""
-    arrivals = in_time(readings(2.5, compass_hz=rate_hz, offset_ns=700), 2.5, arrival)
-    outputs = feed(pipeline(adaptation="none", period=period), arrivals)
+    arrivals = in_time(readings(2.5, compass_hz=rate_hz, offset_ns=700), 2.5)
+    outputs = feed(joints_pipeline(adaptation="none", period=period), arrivals)
     statuses = sensor_statuses(outputs, "compass")
     assert len(statuses) >= 2
     for status in statuses:
@@ -361,7 +363,7 @@ def test_a_fast_sensor_is_not_thinned(
 @pytest.mark.parametrize("mode", ["none", "joint"])
 @pytest.mark.slow
 def test_a_burst_of_a_very_fast_compass_is_bounded_work(
-    pipeline: MakePipeline, feed: Feed, arrival: Any, monkeypatch: pytest.MonkeyPatch, mode: str
+    monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
     """A second at 1000 Hz amid an ordinary drive."""
     fuse, calls = filter_module.fuse, [0]
@@ -376,9 +378,9 @@ def test_a_burst_of_a_very_fast_compass_is_bounded_work(
         compass(stamp, float(pose_at(stamp)[2]) + 0.134 * rng.standard_normal())
         for stamp in range(BEGIN_NS + SECOND_NS + 1, BEGIN_NS + 2 * SECOND_NS, MS)
     ]
-    arrivals = in_time([*readings(4.0), *burst], 4.0, arrival)
+    arrivals = in_time([*readings(4.0), *burst], 4.0)
     outputs, most = [], 0
-    ran = pipeline(adaptation=mode)
+    ran = joints_pipeline(adaptation=mode)
     for now_ns, event in arrivals:
         before = calls[0]
         closed = ran.add(event, now_ns)
@@ -400,14 +402,12 @@ def test_a_burst_of_a_very_fast_compass_is_bounded_work(
 
 
 @pytest.fixture
-def shared(
-    pipeline: MakePipeline, feed: Feed, arrival: Any
-) -> Callable[..., dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]]:
+def shared() -> Callable[..., dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]]:
     """What a filter finds at the instants at which periods of any length end, every `SHARED_NS`."""
 
     def run(period: float, mode: str, seconds: float) -> Any:
-        arrivals = in_time(readings(seconds, offset_ns=10 * MS + 13), seconds, arrival)
-        outputs = estimates(feed(pipeline(period=period, adaptation=mode), arrivals))
+        arrivals = in_time(readings(seconds, offset_ns=10 * MS + 13), seconds)
+        outputs = estimates(feed(joints_pipeline(period=period, adaptation=mode), arrivals))
         assert outputs[0].stamp_ns == BEGIN_NS  # it starts with its first readings
         states = {o.stamp_ns: o.estimate.state for o in outputs if o.estimate is not None}
         return {
@@ -455,11 +455,9 @@ def test_joint_adaptation_hardly_depends_on_the_period(shared: Any, period: floa
 
 
 @pytest.mark.slow
-def test_short_periods_mean_no_more_learning(
-    pipeline: MakePipeline, feed: Feed, arrival: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_short_periods_mean_no_more_learning(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint adaptation learns from readings, of which there are as many whatever the period."""
-    arrivals = in_time(readings(6.0, offset_ns=10 * MS), 6.0, arrival)
+    arrivals = in_time(readings(6.0, offset_ns=10 * MS), 6.0)
     learn, calls = filter_module.learn, [0]
 
     def counted(*told: Any, **more: Any) -> Any:
@@ -470,7 +468,7 @@ def test_short_periods_mean_no_more_learning(
     learned = []
     for period in (0.02, 0.375):
         calls[0] = 0
-        outputs = estimates(feed(pipeline(period=period, adaptation="joint"), arrivals))
+        outputs = estimates(feed(joints_pipeline(period=period, adaptation="joint"), arrivals))
         assert outputs[-1].stamp_ns >= BEGIN_NS + 6 * SECOND_NS
         learned.append(calls[0])
     assert learned[0] == learned[1]
@@ -482,10 +480,10 @@ def test_short_periods_mean_no_more_learning(
 @pytest.mark.parametrize(("period", "mode"), [(0.1, "none"), (0.375, "rq"), (0.375, "joint")])
 @pytest.mark.slow
 def test_readings_that_come_late_and_in_any_order_count_as_if_they_had_come_in_time(
-    pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same, period: float, mode: str
+    period: float, mode: str
 ) -> None:
     """Within `history`, bit for bit."""
-    prompt = in_time(readings(5.0, offset_ns=7 * MS), 6.0, arrival)
+    prompt = in_time(readings(5.0, offset_ns=7 * MS), 6.0)
     rng = random.Random(4)
     late = [
         a._replace(now_ns=a.now_ns + rng.randrange(800 * MS))
@@ -499,7 +497,7 @@ def test_readings_that_come_late_and_in_any_order_count_as_if_they_had_come_in_t
     assert since > BEGIN_NS + 5 * SECOND_NS
     ran = []
     for arrivals in (prompt, late):
-        outputs = feed(pipeline(**settings), arrivals)
+        outputs = feed(joints_pipeline(**settings), arrivals)
         ran.append([o for o in outputs if o.stamp_ns > since])
     assert ran[0]
     same_estimates(*ran)
@@ -507,7 +505,7 @@ def test_readings_that_come_late_and_in_any_order_count_as_if_they_had_come_in_t
 
 
 def test_the_papers_adaptation_takes_one_step_a_period_from_the_last_reading_of_each_row(
-    pipeline: MakePipeline, feed: Feed, arrival: Any, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     adapt, told = filter_module.adapt, []
 
@@ -516,8 +514,10 @@ def test_the_papers_adaptation_takes_one_step_a_period_from_the_last_reading_of_
         return adapt(*arguments)
 
     monkeypatch.setattr(filter_module, "adapt", recorded)
-    arrivals = in_time(readings(6.0, 20.0, 6.0, offset_ns=3 * MS), 6.0, arrival)
-    ran = pipeline(adaptation="rq", innovation_window=5, measurement_noise_std=[0.3, 0.3, 0.3])
+    arrivals = in_time(readings(6.0, 20.0, 6.0, offset_ns=3 * MS), 6.0)
+    ran = joints_pipeline(
+        adaptation="rq", innovation_window=5, measurement_noise_std=[0.3, 0.3, 0.3]
+    )
     outputs = [o.estimate for o in estimates(feed(ran, arrivals))]
     steps = [e for e in outputs if e is not None and e.result is not None]
     assert len(told) == len(steps) >= 15

@@ -13,10 +13,11 @@ from localizers import (
     PERIOD_NS,
     SECOND_NS,
     START_NS,
-    Feed,
-    MakePipeline,
-    Same,
     estimates,
+    feed,
+    make_pipeline,
+    same_estimates,
+    simulated,
     status_at_end,
     statuses,
     time_values,
@@ -49,9 +50,8 @@ def breaking(
 @pytest.mark.parametrize("error", [FloatingPointError, np.linalg.LinAlgError])
 @pytest.mark.slow
 def test_a_period_that_fails_is_predicted_by_the_wheels(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
-    monkeypatch: pytest.MonkeyPatch, error: type[Exception],
-) -> None:  # fmt: skip
+    monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
     """The same as if nothing had been measured in it.
 
     Bit for bit as if its readings said nothing; without them the period is not cut at their
@@ -101,7 +101,7 @@ def test_a_period_that_fails_is_predicted_by_the_wheels(
 
 
 def test_a_filter_that_fails_on_the_wheels_alone_starts_anew_with_its_noise(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     arrivals = simulated(12, 30.0, "joint_states").arrivals
     pipeline = make_pipeline(adaptation="r", measurement_noise_std=[0.4, 0.4, 0.5], **JOINTS)
@@ -131,7 +131,7 @@ def test_a_filter_that_fails_on_the_wheels_alone_starts_anew_with_its_noise(
 
 @pytest.mark.slow
 def test_a_state_that_is_no_longer_finite_is_not_gone_on_with(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     run_period = history.run_period
 
@@ -157,9 +157,7 @@ def test_a_state_that_is_no_longer_finite_is_not_gone_on_with(
 
 @pytest.mark.parametrize("adaptation", ["none", "r", "q", "rq", "joint"])
 @pytest.mark.slow
-def test_without_any_measurement_the_covariance_grows(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, adaptation: str
-) -> None:
+def test_without_any_measurement_the_covariance_grows(adaptation: str) -> None:
     arrivals = simulated(12, 60.0, "joint_states").arrivals
     since = START_NS + 20 * SECOND_NS
     blind = [a for a in arrivals if isinstance(a.event, WheelCount) or a.now_ns < since]
@@ -178,7 +176,7 @@ def test_without_any_measurement_the_covariance_grows(
 @pytest.mark.parametrize("source", ["ticks", "joint_states"])
 @pytest.mark.slow
 def test_what_fixes_have_measured_while_the_wheels_were_silent_is_not_counted_again(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, adaptation: str, source: str
+    adaptation: str, source: str
 ) -> None:
     """Twenty seconds: the robot drove on, fixes and compass followed it, then the wheels speak."""
     run = simulated(21, 60.0, source)
@@ -200,9 +198,7 @@ def test_what_fixes_have_measured_while_the_wheels_were_silent_is_not_counted_ag
 
 
 @pytest.mark.slow
-def test_without_fixes_the_way_of_silent_wheels_is_counted_when_they_speak_again(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_without_fixes_the_way_of_silent_wheels_is_counted_when_they_speak_again() -> None:
     """A compass alone: the way is not known otherwise, the turn is."""
     run = simulated(22, 60.0, path="square")
     before = START_NS + 18 * SECOND_NS
@@ -222,9 +218,7 @@ def test_without_fixes_the_way_of_silent_wheels_is_counted_when_they_speak_again
     assert np.hypot(*(moved - true)) < 0.5 * np.hypot(*true)
 
 
-def test_a_clock_that_jumps_ahead_is_told(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_a_clock_that_jumps_ahead_is_told() -> None:
     run = simulated(23, 20.0)
     pipeline = make_pipeline()
     late = START_NS + 10 * SECOND_NS

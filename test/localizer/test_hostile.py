@@ -29,7 +29,7 @@ from hostile_messages import (
 )
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
-from localizers import GEOMETRY
+from localizers import GEOMETRY, as_object
 from rosbags.typesys import Stores, get_typestore
 
 from fnn_ekf_ros import messages
@@ -46,7 +46,6 @@ FIRST_SEED = int(os.environ.get("FNN_EKF_ROS_HOSTILE_SEED", "0"))
 EXAMPLES = 10
 """Number of recipes that are drawn from each of hypothesis' seeds."""
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
-AsObject = Callable[[Message], Any]
 
 
 class Victim:
@@ -56,14 +55,13 @@ class Victim:
         errors: distances from the truth of the estimates it is known for [m].
     """
 
-    def __init__(self, parameters: LocalizerParameters, as_object: AsObject) -> None:
+    def __init__(self, parameters: LocalizerParameters) -> None:
         self.parameters = parameters
         self.pipeline = Localizer(parameters, networks_for(parameters))
         self.estimates = 0
         self.refused = 0
         self.truth: deque[Truth] = deque(maxlen=200)
         self.errors: list[tuple[float, float]] = []
-        self._as_object = as_object
         self._topics = messages.input_topics(parameters)
         self._period_ns = round(parameters.period * 1e9)
         self._history_ns = round(parameters.history * 1e9)
@@ -77,7 +75,7 @@ class Victim:
         if sent.now_ns <= 0 or sent.topic not in self._topics:
             return
         self._see_clock(sent.now_ns)
-        message = self._as_object(sent.message)
+        message = as_object(sent.message)
         outputs, rejected = self.pipeline.receive(sent.topic, message, sent.now_ns)
         if rejected is not None:
             assert 0 < len(rejected.reason) < 500
@@ -290,13 +288,13 @@ def run_examples(
 
 
 @pytest.mark.slow
-def test_whatever_comes_the_output_is_sound(as_object: AsObject) -> None:
+def test_whatever_comes_the_output_is_sound() -> None:
     """Finite, positive definite, in order, within bounds; and nothing is ever raised."""
     sent_count = estimates = refused = 0
 
     def never_nonsense(changes: dict[str, Any], recipe: Recipe) -> None:
         nonlocal sent_count, estimates, refused
-        localizer = Victim(build(LocalizerParameters, GEOMETRY | changes), as_object)
+        localizer = Victim(build(LocalizerParameters, GEOMETRY | changes))
         sent_count += play(recipe, localizer)
         estimates += localizer.estimates
         refused += localizer.refused
@@ -311,13 +309,13 @@ def test_whatever_comes_the_output_is_sound(as_object: AsObject) -> None:
 
 
 @pytest.mark.slow
-def test_afterwards_the_robot_is_found_again(as_object: AsObject) -> None:
+def test_afterwards_the_robot_is_found_again() -> None:
     """A minute of ordinary messages after the attacks is enough, whatever was learned of them."""
     worst: list[tuple[float, float]] = []
 
     def finds_it(adaptation: str, drive: tuple[Segment, ...], number: int) -> None:
         parameters = build(LocalizerParameters, GEOMETRY | {"adaptation": adaptation})
-        localizer = Victim(parameters, as_object)
+        localizer = Victim(parameters)
         kept = [name for name in EVERYTHING if name not in ("change", "hold")]
         asked = tuple(
             s._replace(attacks=tuple(name for name in s.attacks if name in kept)) for s in drive
@@ -335,11 +333,11 @@ def test_afterwards_the_robot_is_found_again(as_object: AsObject) -> None:
 
 
 @pytest.mark.slow
-def test_memory_is_flat(as_object: AsObject) -> None:
+def test_memory_is_flat() -> None:
     """The second half of a long stream of everything leaves nothing behind."""
     every = tuple(name for name in EVERYTHING if name not in COMMANDS)
     cycle = [Segment((name,), 0.2, 20) for name in every] + [Segment((), 0.0, 50)]
-    localizer = Victim(build(LocalizerParameters, GEOMETRY | {"adaptation": "r"}), as_object)
+    localizer = Victim(build(LocalizerParameters, GEOMETRY | {"adaptation": "r"}))
     kept: list[int] = []
     tracemalloc.start()
     try:

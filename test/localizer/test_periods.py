@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import PERIOD_NS, Feed, MakePipeline, Same, estimates
+from localizers import (
+    PERIOD_NS,
+    Arrival,
+    estimates,
+    feed,
+    make_pipeline,
+    same_estimates,
+    simulated,
+)
 from textbook_ekf import textbook_step
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
@@ -30,9 +38,9 @@ def ticks(stamp_ns: int, left: int, right: int) -> list[WheelCount]:
     return [WheelCount(stamp_ns, Wheel.LEFT, left), WheelCount(stamp_ns, Wheel.RIGHT, right)]
 
 
-def in_time(events: Sequence[Any], arrival: Any) -> list[Any]:
+def in_time(events: Sequence[Any]) -> list[Any]:
     """Return the events as arriving at their stamps."""
-    return [arrival(event.stamp_ns, event) for event in events]
+    return [Arrival(event.stamp_ns, event) for event in events]
 
 
 def means(outputs: list[Output]) -> FloatArray:
@@ -58,11 +66,9 @@ def arc_pose(speed: float, rate: float, time: float) -> FloatArray:
 @pytest.mark.parametrize("period", [0.375, 0.1, 0.05, 1.0 / 3.0, 2.5])
 @pytest.mark.parametrize("start_ns", [seconds(10.1), seconds(1.7e9) + 123_456_789, 1])
 @pytest.mark.slow
-def test_periods_end_at_integer_multiples(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, period: float, start_ns: int
-) -> None:
+def test_periods_end_at_integer_multiples(period: float, start_ns: int) -> None:
     events = [e for i in range(200) for e in ticks(start_ns + i * 70_000_000, i, i)]
-    outputs = feed(make_pipeline(period=period, **AT_ORIGIN), in_time(events, arrival))
+    outputs = feed(make_pipeline(period=period, **AT_ORIGIN), in_time(events))
     stamps = [output.stamp_ns for output in estimates(outputs)]
     period_ns = round(period * 1e9)
     first = (start_ns - 1) // period_ns + 1  # both wheels are known at its end
@@ -71,9 +77,7 @@ def test_periods_end_at_integer_multiples(
     assert [o.estimate.stamp_ns for o in outputs if o.estimate is not None] == stamps
 
 
-def test_an_event_on_a_boundary_belongs_to_the_period_that_ends_there(
-    make_pipeline: MakePipeline,
-) -> None:
+def test_an_event_on_a_boundary_belongs_to_the_period_that_ends_there() -> None:
     boundary = 20 * PERIOD_NS
     pipeline = make_pipeline(**AT_ORIGIN)
     stand(pipeline, boundary - PERIOD_NS)
@@ -88,9 +92,7 @@ def test_an_event_on_a_boundary_belongs_to_the_period_that_ends_there(
 
 
 @pytest.mark.parametrize("first", list(Wheel))
-def test_a_period_closes_when_both_wheels_are_known(
-    make_pipeline: MakePipeline, first: Wheel
-) -> None:
+def test_a_period_closes_when_both_wheels_are_known(first: Wheel) -> None:
     pipeline = make_pipeline(**AT_ORIGIN)
     begin, second = 10 * PERIOD_NS, Wheel(1 - first)
     stand(pipeline, begin)
@@ -107,7 +109,7 @@ def test_a_period_closes_when_both_wheels_are_known(
 @pytest.mark.parametrize("timeout", [0.5, 0.0, 3.0])
 @pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
 def test_a_period_closes_without_the_wheels_after_the_timeout(
-    make_pipeline: MakePipeline, timeout: float, speaking: list[Wheel]
+    timeout: float, speaking: list[Wheel]
 ) -> None:
     pipeline = make_pipeline(encoder_timeout=timeout, **AT_ORIGIN)
     begin = 10 * PERIOD_NS
@@ -121,9 +123,7 @@ def test_a_period_closes_without_the_wheels_after_the_timeout(
     assert len(pipeline.advance(deadline + 3 * PERIOD_NS)) == 3
 
 
-def test_a_period_closes_without_the_wheels_and_takes_what_was_measured(
-    make_pipeline: MakePipeline,
-) -> None:
+def test_a_period_closes_without_the_wheels_and_takes_what_was_measured() -> None:
     pipeline = make_pipeline(**AT_ORIGIN)
     boundary = 10 * PERIOD_NS
     stand(pipeline, boundary - PERIOD_NS)
@@ -134,7 +134,7 @@ def test_a_period_closes_without_the_wheels_and_takes_what_was_measured(
     assert output.estimate.state.mean[2] > 0.1
 
 
-def test_several_periods_close_at_once_in_order(make_pipeline: MakePipeline, feed: Feed) -> None:
+def test_several_periods_close_at_once_in_order() -> None:
     pipeline = make_pipeline(encoder_timeout=10.0, **AT_ORIGIN)
     stand(pipeline, 10 * PERIOD_NS)
     stamp = 15 * PERIOD_NS + 1
@@ -144,9 +144,7 @@ def test_several_periods_close_at_once_in_order(make_pipeline: MakePipeline, fee
     np.testing.assert_allclose(ways, 10.0 * METERS_PER_COUNT, rtol=1e-6)
 
 
-def test_each_wheel_is_interpolated_linearly_on_its_own(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any
-) -> None:
+def test_each_wheel_is_interpolated_linearly_on_its_own() -> None:
     rng = np.random.default_rng(4)
     stamps = [np.cumsum(rng.integers(10_000_000, 90_000_000, 120)) + seconds(7) for _ in Wheel]
     counts = [np.cumsum(rng.integers(-30, 60, 120)) for _ in Wheel]
@@ -155,7 +153,7 @@ def test_each_wheel_is_interpolated_linearly_on_its_own(
         for wheel in Wheel
         for stamp, count in zip(stamps[wheel], counts[wheel], strict=True)
     ]
-    arrivals = sorted(in_time(events, arrival), key=lambda a: a.now_ns)
+    arrivals = sorted(in_time(events), key=lambda a: a.now_ns)
     # In the first period the wheels count from when both have spoken.
     outputs = estimates(feed(make_pipeline(**AT_ORIGIN), arrivals))[1:]
     assert len(outputs) > 10
@@ -182,15 +180,12 @@ def wrapped(count: int, bits: int, signed: bool) -> int:
 @pytest.mark.parametrize(
     ("bits", "start"), [(8, 120), (8, -128), (16, 65535), (32, 2**31 - 3), (32, 2**32 - 1)]
 )
-def test_a_counter_that_wraps_does_not_move_the_robot(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, bits: int, start: int
-) -> None:
+def test_a_counter_that_wraps_does_not_move_the_robot(bits: int, start: int) -> None:
     arrivals = [
         entry
         for number in range(60)
         for entry in in_time(
             ticks(seconds(3.0 + 0.05 * number), *(wrapped(start + 7 * number, bits, True),) * 2),
-            arrival,
         )
     ]
     outputs = estimates(feed(make_pipeline(encoder_bits=bits, **AT_ORIGIN), arrivals))
@@ -200,18 +195,15 @@ def test_a_counter_that_wraps_does_not_move_the_robot(
 
 
 @pytest.mark.parametrize(("left", "right"), [*itertools.product([False, True], repeat=2)])
-def test_inverted_wheels_count_backwards(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same, left: bool,
-    right: bool,
-) -> None:  # fmt: skip
+def test_inverted_wheels_count_backwards(left: bool, right: bool) -> None:
     plain, inverted = [], []
     for number in range(100):
         stamp = seconds(3.0 + 0.05 * number)
         counts = (40 * number, 30 * number)
-        plain += in_time(ticks(stamp, *counts), arrival)
+        plain += in_time(ticks(stamp, *counts))
         shown = (wrapped(c * (-1 if i else 1), 8, True) for c, i in
                  zip(counts, (left, right), strict=True))  # fmt: skip
-        inverted += in_time(ticks(stamp, *shown), arrival)
+        inverted += in_time(ticks(stamp, *shown))
     pipeline = make_pipeline(encoder_bits=8, left_inverted=left, right_inverted=right, **AT_ORIGIN)
     outputs = feed(pipeline, inverted)
     same_estimates(outputs, feed(make_pipeline(**AT_ORIGIN), plain))
@@ -220,9 +212,7 @@ def test_inverted_wheels_count_backwards(
 
 
 @pytest.mark.slow
-def test_joint_states_give_what_ticks_give(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_joint_states_give_what_ticks_give() -> None:
     ran = {
         source: feed(
             make_pipeline(encoder_source=source, adaptation="r"),
@@ -236,18 +226,16 @@ def test_joint_states_give_what_ticks_give(
 
 
 @pytest.mark.parametrize("gear_ratio", [1.0, 30.0])
-def test_a_joint_is_the_wheel_behind_the_gear(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, gear_ratio: float
-) -> None:
+def test_a_joint_is_the_wheel_behind_the_gear(gear_ratio: float) -> None:
     counts = [(int(60 * i * gear_ratio), int(45 * i * gear_ratio)) for i in range(40)]
     per_turn = 500.0 * gear_ratio
     by_ticks, by_joints = [], []
     for number, (left, right) in enumerate(counts):
         stamp = seconds(3.0 + 0.1 * number)
-        by_ticks += in_time(ticks(stamp, left, right), arrival)
+        by_ticks += in_time(ticks(stamp, left, right))
         radians = (2.0 * math.pi * left / per_turn, 2.0 * math.pi * right / per_turn)
         by_joints += [
-            arrival(stamp, WheelCount(stamp, w, r)) for w, r in zip(Wheel, radians, strict=True)
+            Arrival(stamp, WheelCount(stamp, w, r)) for w, r in zip(Wheel, radians, strict=True)
         ]
     changes = AT_ORIGIN | {"gear_ratio": gear_ratio}
     first = means(feed(make_pipeline(**changes), by_ticks))
@@ -256,9 +244,7 @@ def test_a_joint_is_the_wheel_behind_the_gear(
     assert first[-1, 0] > 0.5
 
 
-def test_every_measurement_in_a_period_counts_at_its_own_time(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same
-) -> None:
+def test_every_measurement_in_a_period_counts_at_its_own_time() -> None:
     """The textbook's EKF, fed with all readings in order, whatever comes in first."""
     begin, step_ns = 10 * PERIOD_NS, 25_000_000
     way, turn = 10.0 * METERS_PER_COUNT, 2.0 * METERS_PER_COUNT / 0.6  # of a step
@@ -286,9 +272,9 @@ def test_every_measurement_in_a_period_counts_at_its_own_time(
             since = step
         if step and step % 15 == 0:
             expected.append((x, P))
-        arrivals += in_time(events, arrival)
+        arrivals += in_time(events)
         end = begin + -(-step // 15) * 15 * step_ns - 1 if step % 15 else stamp
-        hasty += [arrival(end, event) for event in reversed(events)]
+        hasty += [Arrival(end, event) for event in reversed(events)]
     hasty.sort(key=lambda a: (a.now_ns, isinstance(a.event, WheelCount), -a.event.stamp_ns))
     settings = {"adaptation": "none", "motion_model": "exact_arc", **AT_ORIGIN}
     settings |= {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
@@ -306,9 +292,7 @@ def test_every_measurement_in_a_period_counts_at_its_own_time(
 
 @pytest.mark.parametrize("rate", [0.0, 0.4, -1.2])
 @pytest.mark.slow
-def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, rate: float
-) -> None:
+def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(rate: float) -> None:
     """A robot on an arc whose sensors are right: the filter has nothing to correct."""
     speed, start = 0.5, 10 * PERIOD_NS
     arrivals = []
@@ -322,7 +306,7 @@ def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(
         if step % 30 == 17:
             events.append(CompassYaw(stamp, arc_pose(speed, rate, time)[2]))
         events += [WheelCount(stamp, w, way / 0.025) for w, way in zip(Wheel, ways, strict=True)]
-        arrivals += in_time(events, arrival)
+        arrivals += in_time(events)
     pipeline = make_pipeline(
         encoder_source="joint_states", lrf_use_yaw=True, **AT_ORIGIN, motion_model="exact_arc"
     )
@@ -344,10 +328,7 @@ def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(
     [(CompassYaw, [Row.COMPASS_YAW], 2), (PoseFix, [Row.X, Row.Y], 3)],
     ids=["compass", "fixes"],
 )
-def test_a_missing_sensor_drops_its_rows_only(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, missing: Any, rows: list[Row],
-    freedom: int,
-) -> None:  # fmt: skip
+def test_a_missing_sensor_drops_its_rows_only(missing: Any, rows: list[Row], freedom: int) -> None:
     """The compass speaks three times a period."""
     arrivals = [a for a in simulated(11, 30.0).arrivals if not isinstance(a.event, missing)]
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0], adaptation="q")
@@ -365,9 +346,7 @@ def test_a_missing_sensor_drops_its_rows_only(
 
 
 @pytest.mark.slow
-def test_without_any_measurement_the_robot_is_where_the_wheels_say(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_without_any_measurement_the_robot_is_where_the_wheels_say() -> None:
     run = simulated(2, 40.0, slip_std=(0.0, 0.0), wheel_speed_error=0.05)
     arrivals = [a for a in run.arrivals if isinstance(a.event, WheelCount)]
     outputs = estimates(feed(make_pipeline(initial_pose=[0.0, 0.0, 0.0]), arrivals))
@@ -383,7 +362,7 @@ def test_without_any_measurement_the_robot_is_where_the_wheels_say(
     assert np.all(np.diff(spreads) > 0.0)
 
 
-def test_compass_offset_is_added(make_pipeline: MakePipeline) -> None:
+def test_compass_offset_is_added() -> None:
     pipeline = make_pipeline(compass_offset=0.25)
     boundary = 10 * PERIOD_NS
     for event in ticks(boundary - PERIOD_NS, 0, 0):
@@ -396,13 +375,11 @@ def test_compass_offset_is_added(make_pipeline: MakePipeline) -> None:
 
 
 @pytest.mark.parametrize("period", [0.1, 0.375, 1.5])
-def test_process_noise_grows_with_the_period(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, period: float
-) -> None:
+def test_process_noise_grows_with_the_period(period: float) -> None:
     """After the same time without measurements the heading is equally uncertain."""
     events = [e for i in range(100) for e in ticks(seconds(3.0 + 0.15 * i), 0, 0)]
     pipeline = make_pipeline(period=period, **AT_ORIGIN)
-    outputs = estimates(feed(pipeline, in_time(events, arrival)))
+    outputs = estimates(feed(pipeline, in_time(events)))
     assert outputs
     for output in outputs:
         assert output.estimate is not None

@@ -7,13 +7,13 @@ import dataclasses
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from localizers import feed, make_parameters, make_pipeline, same_estimates, simulated
 
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.saved_state import SavedState
@@ -29,11 +29,10 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 
 WHEN = datetime(2026, 11, 22, 10, 0, 0, tzinfo=UTC)
 ROOT = Path(__file__).resolve().parents[2]
-MakeParameters = Callable[..., LocalizerParameters]
 
 
 @pytest.fixture
-def parameters(make_parameters: MakeParameters, tmp_path: Path) -> LocalizerParameters:
+def parameters(tmp_path: Path) -> LocalizerParameters:
     return make_parameters(state_file=str(tmp_path / "state.yaml"), warm_start=True)
 
 
@@ -155,9 +154,7 @@ def test_another_file_is_kept_once_when_the_state_is_written(
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, broken.name]
 
 
-def test_a_place_that_cannot_be_written_to_is_refused_at_once(
-    make_parameters: MakeParameters, tmp_path: Path
-) -> None:
+def test_a_place_that_cannot_be_written_to_is_refused_at_once(tmp_path: Path) -> None:
     for name in ("nowhere/state.yaml", "."):
         with pytest.raises(SavedStateError, match="parameter 'state_file' is"):
             StateFile(make_parameters(state_file=str(tmp_path / name))).find()
@@ -261,9 +258,7 @@ def test_a_writer_that_is_killed_leaves_a_whole_state(parameters: LocalizerParam
     pytest.fail("no writer was killed while it wrote")
 
 
-def test_what_is_saved_is_the_noise_without_an_alarm_and_the_last_pose(
-    make_pipeline: Callable[..., Localizer], simulated: Any, feed: Any
-) -> None:
+def test_what_is_saved_is_the_noise_without_an_alarm_and_the_last_pose() -> None:
     pipeline = make_pipeline()
     assert pipeline.saved() is None
     outputs = feed(pipeline, simulated(30, 30.0).arrivals)
@@ -291,9 +286,7 @@ def warm(parameters: LocalizerParameters, state: SavedState) -> Localizer:
 
 
 @pytest.mark.parametrize("mode", ["none", "r", "rq", "joint"])
-def test_a_warm_start_has_pose_and_noise_at_once(
-    make_parameters: MakeParameters, state: SavedState, mode: str
-) -> None:
+def test_a_warm_start_has_pose_and_noise_at_once(state: SavedState, mode: str) -> None:
     """The given initial pose does not count then; the uncertainty grows by initial_pose_std."""
     std = np.array([0.3, 0.2, 0.1])
     parameters = make_parameters(
@@ -310,14 +303,7 @@ def test_a_warm_start_has_pose_and_noise_at_once(
 
 
 @pytest.mark.slow
-def test_after_a_reset_the_start_is_cold(
-    make_parameters: MakeParameters,
-    make_pipeline: Callable[..., Localizer],
-    state: SavedState,
-    simulated: Any,
-    feed: Any,
-    same_estimates: Any,
-) -> None:
+def test_after_a_reset_the_start_is_cold(state: SavedState) -> None:
     arrivals = simulated(30, 20.0).arrivals
     pipeline = warm(make_parameters(), state)
     feed(pipeline, arrivals[:200])
@@ -326,7 +312,7 @@ def test_after_a_reset_the_start_is_cold(
 
 
 def test_a_clock_that_jumps_keeps_the_noise_of_a_warm_start_but_not_its_pose(
-    make_parameters: MakeParameters, state: SavedState
+    state: SavedState,
 ) -> None:
     pipeline = warm(make_parameters(adaptation="none"), state)
     pipeline.advance(100 * 10**9)
@@ -337,12 +323,7 @@ def test_a_clock_that_jumps_keeps_the_noise_of_a_warm_start_but_not_its_pose(
 
 
 @pytest.mark.slow
-def test_the_noise_that_was_learned_serves_a_plain_filter(
-    make_parameters: MakeParameters,
-    make_pipeline: Callable[..., Localizer],
-    simulated: Any,
-    feed: Any,
-) -> None:
+def test_the_noise_that_was_learned_serves_a_plain_filter() -> None:
     """R too small by 25: errors of 20 s without adaptation, from a cold start and a warm one."""
     wrong = {"measurement_noise_std": [0.02, 0.02, 0.027]}
     first, second = simulated(31, 60.0), simulated(32, 20.0)

@@ -15,9 +15,11 @@ from localizers import (
     PERIOD_NS,
     SECOND_NS,
     START_NS,
-    Feed,
-    MakePipeline,
-    Same,
+    Arrival,
+    feed,
+    make_pipeline,
+    same_estimates,
+    simulated,
     status_at_end,
     time_values,
 )
@@ -70,9 +72,8 @@ def pick(arrivals: Sequence[Any], kind: type[Event], after_ns: int) -> Any:
 @pytest.mark.parametrize("late_s", [0.2, 0.5, 1.1, 1.6])
 @pytest.mark.slow
 def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_time(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
-    adaptation: str, kind: type, late_s: float,
-) -> None:  # fmt: skip
+    adaptation: str, kind: type, late_s: float
+) -> None:
     arrivals = simulated(11, 30.0).arrivals
     event = pick(arrivals, kind, START_NS + 20 * SECOND_NS)
     in_time = feed(make_pipeline(adaptation=adaptation), arrivals)
@@ -96,12 +97,10 @@ def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_
 
 
 @pytest.mark.slow
-def test_a_late_pose_reset_counts_at_its_stamp(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any
-) -> None:
+def test_a_late_pose_reset_counts_at_its_stamp() -> None:
     arrivals = list(simulated(11, 30.0).arrivals)
     reset = PoseReset(START_NS + 20 * SECOND_NS + 7, np.array([5.0, 5.0, 1.0]), 0.01 * np.eye(3))
-    arrivals = sorted([*arrivals, arrival(reset.stamp_ns, reset)], key=lambda a: a.now_ns)
+    arrivals = sorted([*arrivals, Arrival(reset.stamp_ns, reset)], key=lambda a: a.now_ns)
     in_time = feed(make_pipeline(adaptation="r"), arrivals)
     outputs = feed(make_pipeline(adaptation="r"), delayed(arrivals, reset, SECOND_NS))
     later = START_NS + 21 * SECOND_NS + 100
@@ -112,10 +111,7 @@ def test_a_late_pose_reset_counts_at_its_stamp(
 
 @pytest.mark.parametrize("wheels", [[Wheel.LEFT], [Wheel.RIGHT], list(Wheel)])
 @pytest.mark.slow
-def test_wheels_that_come_late_are_made_up_for(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same,
-    wheels: list[Wheel],
-) -> None:  # fmt: skip
+def test_wheels_that_come_late_are_made_up_for(wheels: list[Wheel]) -> None:
     """A gap of 1.5 s, longer than the timeout; then all counts of the gap come at once."""
     arrivals = simulated(11, 30.0).arrivals
     begin, end = START_NS + 20 * SECOND_NS, START_NS + 20 * SECOND_NS + 1_500_000_000
@@ -140,9 +136,7 @@ def test_wheels_that_come_late_are_made_up_for(
 
 
 @pytest.mark.slow
-def test_a_gap_in_the_counts_is_bridged_and_no_way_is_lost(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_a_gap_in_the_counts_is_bridged_and_no_way_is_lost() -> None:
     """Counts that are lost for good for longer than `history`: the way comes in afterwards."""
     run = simulated(2, 40.0, slip_std=(0.0, 0.0), path="figure_eight", speed=0.05)
     begin, end = START_NS + 20 * SECOND_NS, START_NS + 24 * SECOND_NS
@@ -160,9 +154,7 @@ def test_a_gap_in_the_counts_is_bridged_and_no_way_is_lost(
 
 @pytest.mark.parametrize("kind", [CompassYaw, PoseFix, WheelCount])
 @pytest.mark.slow
-def test_what_comes_later_than_history_is_dropped_and_counted(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, kind: type
-) -> None:
+def test_what_comes_later_than_history_is_dropped_and_counted(kind: type) -> None:
     arrivals = simulated(11, 30.0).arrivals
     event = pick(arrivals, kind, START_NS + 20 * SECOND_NS)
     without = feed(make_pipeline(), [a for a in arrivals if a.event is not event])
@@ -179,7 +171,7 @@ def test_what_comes_later_than_history_is_dropped_and_counted(
     assert value_of(status, "last dropped, delay [s]").startswith("3.0")
 
 
-def test_what_is_stamped_far_ahead_is_dropped_and_counted(make_pipeline: MakePipeline) -> None:
+def test_what_is_stamped_far_ahead_is_dropped_and_counted() -> None:
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
     now = 10 * PERIOD_NS
     pipeline.add(CompassYaw(now, 0.0), now)
@@ -190,7 +182,7 @@ def test_what_is_stamped_far_ahead_is_dropped_and_counted(make_pipeline: MakePip
     assert (value_of(status, "dropped"), status.level) == ("1", Level.OK)
 
 
-def test_a_first_event_that_is_too_old_is_dropped(make_pipeline: MakePipeline) -> None:
+def test_a_first_event_that_is_too_old_is_dropped() -> None:
     """A driver that does not stamp sends time 0; filling the time since then takes for ever."""
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
     outputs = pipeline.add(CompassYaw(1, 0.0), 900 * SECOND_NS)
@@ -198,9 +190,7 @@ def test_a_first_event_that_is_too_old_is_dropped(make_pipeline: MakePipeline) -
     assert time_values(pipeline)["dropped"] == "1"
 
 
-def test_an_event_before_the_first_period_is_not_called_received(
-    make_pipeline: MakePipeline,
-) -> None:
+def test_an_event_before_the_first_period_is_not_called_received() -> None:
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
     now = 20 * PERIOD_NS
     for wheel in Wheel:
@@ -210,7 +200,7 @@ def test_an_event_before_the_first_period_is_not_called_received(
     assert value_of(status_at_end(pipeline, "compass"), "received") == "0"
 
 
-def test_a_measurement_as_old_as_history_is_used_or_counted(make_pipeline: MakePipeline) -> None:
+def test_a_measurement_as_old_as_history_is_used_or_counted() -> None:
     pipeline = make_pipeline(period=0.5, history=2.0, initial_pose=[0.0, 0.0, 0.0])
     outputs: list[Output] = []
     for number in range(40, 61):
@@ -227,10 +217,7 @@ def test_a_measurement_as_old_as_history_is_used_or_counted(make_pipeline: MakeP
 @settings(derandomize=True, deadline=None, max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.slow
-def test_the_order_of_events_inside_a_period_does_not_matter(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, arrival: Any,
-    seed: int,
-) -> None:  # fmt: skip
+def test_the_order_of_events_inside_a_period_does_not_matter(seed: int) -> None:
     """Everything stamped inside of a period comes at its end, in any order.
 
     Only the first count of each wheel comes first: it closes the period before, and tells how
@@ -246,7 +233,7 @@ def test_the_order_of_events_inside_a_period_does_not_matter(
         closing = [next(event for event in counts if event.wheel is wheel) for wheel in Wheel]
         others = [event for event in inside if all(event is not c for c in closing)]
         rng.shuffle(others)
-        shuffled += [arrival(end, event) for event in [*closing, *others]]
+        shuffled += [Arrival(end, event) for event in [*closing, *others]]
     source = {"encoder_source": "joint_states"}  # ticks are in order: they are stamped on arrival
     ordered = feed(make_pipeline(adaptation="r", **source), arrivals)
     outputs = feed(make_pipeline(adaptation="r", **source), shuffled)
@@ -254,9 +241,7 @@ def test_the_order_of_events_inside_a_period_does_not_matter(
     same_estimates(outputs, ordered[: len(outputs)])
 
 
-def test_the_order_of_the_very_first_counts_does_not_matter(
-    make_pipeline: MakePipeline, same_estimates: Same
-) -> None:
+def test_the_order_of_the_very_first_counts_does_not_matter() -> None:
     ran = []
     for order in (1, -1):
         pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0], encoder_source="joint_states")
@@ -280,9 +265,7 @@ def shifted(arrivals: Sequence[Any], by_ns: int) -> list[Any]:
 
 @pytest.mark.parametrize("jump_s", [-27, -1500, 1500, 999_999])  # whole periods, as all shifts
 @pytest.mark.slow
-def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, jump_s: int
-) -> None:
+def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(jump_s: int) -> None:
     arrivals = simulated(11, 30.0).arrivals
     moved = shifted(arrivals, 2001 * SECOND_NS)
     pipeline = make_pipeline(**WRONG_START)
@@ -304,9 +287,7 @@ def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(
     assert value_of(status, "restarts") == "1"
 
 
-def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm() -> None:
     arrivals = simulated(11, 30.0).arrivals
     pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.4, 0.4, 0.5])
     last = feed(pipeline, arrivals)[-1].estimate
@@ -320,9 +301,7 @@ def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm(
     assert np.all(expected[1][:3] < 0.7 * np.array([0.16, 0.16, 0.25]))
 
 
-def test_a_clock_that_jumps_twice_keeps_the_adapted_noise(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_a_clock_that_jumps_twice_keeps_the_adapted_noise() -> None:
     pipeline = make_pipeline(**WRONG_START)
     moved = shifted(simulated(11, 30.0).arrivals, 2001 * SECOND_NS)
     adapted = noise_of(feed(pipeline, moved)[-1])
@@ -333,9 +312,7 @@ def test_a_clock_that_jumps_twice_keeps_the_adapted_noise(
     np.testing.assert_array_equal(first.state.measurement_noise, adapted)
 
 
-def test_a_clock_that_goes_back_by_less_than_history_is_late_data(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_a_clock_that_goes_back_by_less_than_history_is_late_data() -> None:
     arrivals = simulated(11, 30.0).arrivals
     pipeline = make_pipeline(adaptation="r")
     half = len(arrivals) // 2
@@ -348,7 +325,7 @@ def test_a_clock_that_goes_back_by_less_than_history_is_late_data(
     assert time_values(pipeline)["restarts"] == "0"
 
 
-def test_a_silence_is_filled_period_by_period(make_pipeline: MakePipeline) -> None:
+def test_a_silence_is_filled_period_by_period() -> None:
     pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
     pipeline.advance(10 * PERIOD_NS - 1 + 500_000_000)
     outputs = pipeline.advance(10 * PERIOD_NS + 100 * SECOND_NS)
@@ -358,9 +335,7 @@ def test_a_silence_is_filled_period_by_period(make_pipeline: MakePipeline) -> No
 
 
 @pytest.mark.slow
-def test_reset_is_a_new_start(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
-) -> None:
+def test_reset_is_a_new_start() -> None:
     arrivals = simulated(11, 30.0).arrivals
     pipeline = make_pipeline(**WRONG_START)
     assert noise_of(feed(pipeline, arrivals)[-1])[0] < 0.1
@@ -372,9 +347,7 @@ def test_reset_is_a_new_start(
 
 @pytest.mark.parametrize("adaptation", ["r", "q", "rq"])
 @pytest.mark.slow
-def test_without_learning_from_the_start_it_is_the_plain_filter(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same, adaptation: str
-) -> None:
+def test_without_learning_from_the_start_it_is_the_plain_filter(adaptation: str) -> None:
     arrivals = simulated(11, 30.0).arrivals
     pipeline = make_pipeline(adaptation=adaptation)
     pipeline.enable_adaptation(False)
@@ -387,9 +360,7 @@ def test_without_learning_from_the_start_it_is_the_plain_filter(
 
 
 @pytest.mark.slow
-def test_learning_can_be_held_and_resumed(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any
-) -> None:
+def test_learning_can_be_held_and_resumed() -> None:
     arrivals = simulated(11, 40.0).arrivals
     third = len(arrivals) // 3
     pipeline = make_pipeline(**WRONG_START)
@@ -403,18 +374,14 @@ def test_learning_can_be_held_and_resumed(
     assert np.any(noise_of(after[-1]) != noise_of(held[-1]))
 
 
-def test_there_is_nothing_to_enable_without_an_adaptation(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, same_estimates: Same
-) -> None:
+def test_there_is_nothing_to_enable_without_an_adaptation() -> None:
     arrivals = simulated(11, 30.0).arrivals
     pipeline = make_pipeline(adaptation="none")
     pipeline.enable_adaptation(True)
     same_estimates(feed(pipeline, arrivals), feed(make_pipeline(adaptation="none"), arrivals))
 
 
-def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_held(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, arrival: Any, same_estimates: Same
-) -> None:
+def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_held() -> None:
     arrivals = simulated(11, 30.0).arrivals
     half = len(arrivals) // 2
     now = arrivals[half].now_ns
@@ -424,11 +391,11 @@ def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_hel
         pipeline = make_pipeline(**WRONG_START)
         before = [a for a in arrivals[:half] if a.event.stamp_ns != event.stamp_ns]
         if not late:
-            before.append(arrival(event.stamp_ns, event))
+            before.append(Arrival(event.stamp_ns, event))
             before.sort(key=lambda a: a.now_ns)
         feed(pipeline, before)
         pipeline.enable_adaptation(False)
-        outputs = feed(pipeline, [arrival(now, event)] if late else [])
+        outputs = feed(pipeline, [Arrival(now, event)] if late else [])
         ran.append([o for o in outputs + feed(pipeline, arrivals[half:]) if o.stamp_ns > now])
     same_estimates(*ran)
     np.testing.assert_array_equal(noise_of(ran[0][0]), noise_of(ran[0][-1]))

@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from localizers import PERIOD_NS, SECOND_NS, Feed, MakePipeline, Same
+from localizers import (
+    PERIOD_NS,
+    SECOND_NS,
+    Arrival,
+    feed,
+    make_pipeline,
+    same_estimates,
+    simulated,
+)
 
 from fnn_ekf_ros.localizer import history
 from fnn_ekf_ros.localizer.localizer import Localizer
@@ -48,13 +56,11 @@ def last_mean(outputs: list[Output]) -> np.ndarray:
     return estimate.state.mean
 
 
-def straight(
-    arrival: Any, source: str, steps: int, per_step: int = 20, start: int = 0
-) -> list[Any]:
+def straight(source: str, steps: int, per_step: int = 20, start: int = 0) -> list[Any]:
     """Return arrivals of a robot that drives straight ahead, so many counts in each 25 ms."""
     scale = 1 if source == "ticks" else METERS_PER_COUNT / 0.025
     return [
-        arrival(stamp, WheelCount(stamp, wheel, (start + per_step * number) * scale))
+        Arrival(stamp, WheelCount(stamp, wheel, (start + per_step * number) * scale))
         for number in range(steps)
         for stamp in [BEGIN_NS + number * STEP_NS]
         for wheel in Wheel
@@ -78,9 +84,8 @@ def with_reading(arrivals: Sequence[Any], index: int, change: float) -> list[Any
 )  # fmt: skip
 @pytest.mark.slow
 def test_a_wrapped_run_is_bit_for_bit_the_unwrapped_one(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, same_estimates: Same,
-    data: st.DataObject, bits: int, signed: bool, inverted: tuple[bool, bool],
-) -> None:  # fmt: skip
+    data: st.DataObject, bits: int, signed: bool, inverted: tuple[bool, bool]
+) -> None:
     """Whatever the width, the sign, the start and the wheels' directions."""
     largest = min(2 ** (bits - 1) - 1, 3000)  # up to 5 m/s are motion
     start = data.draw(st.tuples(*[st.integers(0, 2**bits - 1)] * 2))
@@ -93,11 +98,11 @@ def test_a_wrapped_run_is_bit_for_bit_the_unwrapped_one(
         stamp = BEGIN_NS + number * 200_000_000
         for wheel in Wheel:
             shown = int(both[wheel]) * (-1 if inverted[wheel] else 1)
-            plain.append(arrival(stamp, WheelCount(stamp, wheel, shown)))
+            plain.append(Arrival(stamp, WheelCount(stamp, wheel, shown)))
             shown = (shown + start[wheel]) % 2**bits
             if signed and shown >= 2 ** (bits - 1):
                 shown -= 2**bits
-            wrapping.append(arrival(stamp, WheelCount(stamp, wheel, shown)))
+            wrapping.append(Arrival(stamp, WheelCount(stamp, wheel, shown)))
     changes = AT_ORIGIN | {"left_inverted": inverted[0], "right_inverted": inverted[1]}
     reference = feed(make_pipeline(encoder_bits=32, **changes), plain)
     outputs = feed(make_pipeline(encoder_bits=bits, **changes), wrapping)
@@ -110,11 +115,9 @@ def test_a_wrapped_run_is_bit_for_bit_the_unwrapped_one(
 
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("wheel", list(Wheel))
-def test_a_reset_controller_starts_a_new_base(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, wheel: Wheel
-) -> None:
+def test_a_reset_controller_starts_a_new_base(source: str, wheel: Wheel) -> None:
     """Counts begin at 0 again: it costs the way of one interval, and is said once."""
-    arrivals = straight(arrival, source, 400, start=30_000)
+    arrivals = straight(source, 400, start=30_000)
     half = len(arrivals) // 2
     lost = arrivals[half].event.reading
     reset = [
@@ -144,11 +147,9 @@ def test_a_reset_controller_starts_a_new_base(
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("size", [-9000, 5000, 2**30])
 @pytest.mark.slow
-def test_a_glitch_costs_no_way(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, size: int
-) -> None:
+def test_a_glitch_costs_no_way(source: str, size: int) -> None:
     """One reading is corrupt: what the wheel did meanwhile is counted with the next one."""
-    arrivals = straight(arrival, source, 400)
+    arrivals = straight(source, 400)
     scale = 1.0 if source == "ticks" else METERS_PER_COUNT / 0.025
     pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
     outputs = feed(pipeline, with_reading(arrivals, 401, round(size * scale)))
@@ -166,10 +167,8 @@ def test_a_glitch_costs_no_way(
 
 
 @pytest.mark.parametrize("glitches", [2, 3])
-def test_corrupt_readings_that_contradict_each_other_are_no_new_base(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, glitches: int
-) -> None:
-    arrivals = whole = straight(arrival, "ticks", 400)
+def test_corrupt_readings_that_contradict_each_other_are_no_new_base(glitches: int) -> None:
+    arrivals = whole = straight("ticks", 400)
     for number in range(glitches):
         arrivals = with_reading(arrivals, 401 + 2 * number, (-1) ** number * 40_000)
     outputs = feed(make_pipeline(**AT_ORIGIN), arrivals)
@@ -179,11 +178,9 @@ def test_corrupt_readings_that_contradict_each_other_are_no_new_base(
 
 
 @pytest.mark.parametrize(("source", "stall_ns"), [("ticks", 90_000_000), ("ticks", 2 * SECOND_NS)])
-def test_a_burst_after_a_stall_is_no_jump(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, stall_ns: int
-) -> None:
+def test_a_burst_after_a_stall_is_no_jump(source: str, stall_ns: int) -> None:
     """At nearly full speed: ticks that come in together after a stall, or are lost in it."""
-    arrivals = straight(arrival, source, 400, per_step=390)  # 4.9 m/s
+    arrivals = straight(source, 400, per_step=390)  # 4.9 m/s
     begin, end = BEGIN_NS + 4 * SECOND_NS + 1, BEGIN_NS + 4 * SECOND_NS + stall_ns
     burst = [
         a._replace(now_ns=end, event=a.event._replace(stamp_ns=end)) if begin < a.now_ns < end
@@ -210,12 +207,12 @@ def after_silence(arrivals: Sequence[Any], silent_ns: int) -> list[Any]:
 @pytest.mark.parametrize("drives_on", [False, True])
 @pytest.mark.slow
 def test_a_controller_that_restarts_after_a_silence_is_no_motion(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, way: float, drives_on: bool
+    source: str, way: float, drives_on: bool
 ) -> None:
     """Silent for 3 s, then 0 and on from there: at 5 m/s the way back could have been driven."""
     start = round(way / METERS_PER_COUNT)
     scale = 1.0 if source == "ticks" else METERS_PER_COUNT / 0.025
-    silent = after_silence(straight(arrival, source, 600, 0, start), 3 * SECOND_NS)
+    silent = after_silence(straight(source, 600, 0, start), 3 * SECOND_NS)
     again = BEGIN_NS + 7 * SECOND_NS
     restarted = [
         a._replace(
@@ -246,10 +243,10 @@ def test_a_controller_that_restarts_after_a_silence_is_no_motion(
 @pytest.mark.parametrize("start", [0, 40_000])
 @pytest.mark.slow
 def test_a_robot_whose_messages_were_lost_keeps_its_way(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, source: str, speed: float, start: int
+    source: str, speed: float, start: int
 ) -> None:
     per_step = round(speed * STEP_NS * 1e-9 / METERS_PER_COUNT)
-    arrivals = straight(arrival, source, 400, per_step, start)
+    arrivals = straight(source, 400, per_step, start)
     pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
     outputs = feed(pipeline, after_silence(arrivals, 3 * SECOND_NS))
     whole = feed(make_pipeline(encoder_source=source, **AT_ORIGIN), arrivals)
@@ -270,9 +267,7 @@ def test_a_reading_of_0_that_is_a_glitch_after_a_silence_costs_no_way() -> None:
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.slow
-def test_stamps_that_jitter_by_a_drivers_cycle_are_no_jumps(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, seed: int
-) -> None:
+def test_stamps_that_jitter_by_a_drivers_cycle_are_no_jumps(seed: int) -> None:
     """At full speed, stamps of a 50 Hz driver up to 20 ms off, two of them the same."""
     rng = np.random.default_rng(seed)
     speed = 4.99 / 0.025
@@ -369,10 +364,8 @@ def test_ticks_keep_their_order_where_the_clock_goes_back() -> None:
 
 
 @pytest.mark.parametrize("wheel", list(Wheel))
-def test_a_silent_wheel_is_named(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any, wheel: Wheel
-) -> None:
-    arrivals = straight(arrival, "ticks", 600)
+def test_a_silent_wheel_is_named(wheel: Wheel) -> None:
+    arrivals = straight("ticks", 600)
     since = BEGIN_NS + 10 * SECOND_NS
     kept = [a for a in arrivals if a.now_ns < since or a.event.wheel is not wheel]
     reports = encoder_reports(feed(make_pipeline(**AT_ORIGIN), kept))
@@ -385,10 +378,8 @@ def test_a_silent_wheel_is_named(
     assert not any(f"{other} wheel" in status.message for status in reports)
 
 
-def test_a_wheel_that_never_spoke_is_named(
-    make_pipeline: MakePipeline, feed: Feed, arrival: Any
-) -> None:
-    arrivals = [a for a in straight(arrival, "ticks", 300) if a.event.wheel is Wheel.LEFT]
+def test_a_wheel_that_never_spoke_is_named() -> None:
+    arrivals = [a for a in straight("ticks", 300) if a.event.wheel is Wheel.LEFT]
     last = encoder_reports(feed(make_pipeline(**AT_ORIGIN), arrivals))[-1]
     assert (last.level, last.message) == (Level.ERROR, "no message yet from the right wheel")
 
@@ -410,9 +401,7 @@ def stuck_at(arrivals: Sequence[Any], wheel: Wheel, since_ns: int) -> list[Any]:
 @pytest.mark.parametrize("adaptation", ["none", "joint"])
 @pytest.mark.parametrize("wheel", list(Wheel))
 @pytest.mark.slow
-def test_a_stuck_wheel_is_named(
-    make_pipeline: MakePipeline, feed: Feed, simulated: Any, adaptation: str, wheel: Wheel
-) -> None:
+def test_a_stuck_wheel_is_named(adaptation: str, wheel: Wheel) -> None:
     arrivals = simulated(11, 30.0, path="sim2").arrivals
     stuck_ns = BEGIN_NS + 15 * SECOND_NS
     outputs = feed(make_pipeline(adaptation=adaptation), stuck_at(arrivals, wheel, stuck_ns))
@@ -437,9 +426,7 @@ def test_a_stuck_wheel_is_named(
     ("adaptation", "assumed"), [("none", 0.2), ("none", 1.0), ("none", 5.0), ("joint", 0.2)]
 )
 @pytest.mark.slow
-def test_a_robot_may_pivot_about_a_wheel(
-    make_pipeline: MakePipeline, arrival: Any, wheel: Wheel, assumed: float, adaptation: str
-) -> None:
+def test_a_robot_may_pivot_about_a_wheel(wheel: Wheel, assumed: float, adaptation: str) -> None:
     """Even where the configured noise of the filter is too small or too large."""
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -463,7 +450,7 @@ def test_a_robot_may_pivot_about_a_wheel(
         assert not [s.message for s in encoder_reports(outputs) if "stuck" in s.message]
 
 
-def test_a_pose_that_is_set_is_no_turn(make_pipeline: MakePipeline, arrival: Any) -> None:
+def test_a_pose_that_is_set_is_no_turn() -> None:
     pipeline, outputs = make_pipeline(**AT_ORIGIN), []
     for number in range(400):
         stamp = BEGIN_NS + number * STEP_NS
@@ -477,7 +464,7 @@ def test_a_pose_that_is_set_is_no_turn(make_pipeline: MakePipeline, arrival: Any
 
 @pytest.mark.parametrize("relocated", [False, True])
 def test_a_pose_that_the_gate_moves_is_no_turn(
-    make_pipeline: MakePipeline, monkeypatch: pytest.MonkeyPatch, relocated: bool
+    monkeypatch: pytest.MonkeyPatch, relocated: bool
 ) -> None:
     """The yaw jumps against the wheels' turn while a wheel stands: it may be stuck, or not."""
     run = history.run_period
@@ -501,9 +488,7 @@ def test_a_pose_that_the_gate_moves_is_no_turn(
     assert bool(said) is not relocated
 
 
-def test_encoders_that_are_not_there_are_an_error_after_a_while(
-    make_pipeline: MakePipeline,
-) -> None:
+def test_encoders_that_are_not_there_are_an_error_after_a_while() -> None:
     pipeline, levels = make_pipeline(), []
     for number in range(40):
         outputs = pipeline.advance(BEGIN_NS + number * PERIOD_NS)

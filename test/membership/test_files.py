@@ -5,9 +5,9 @@
 
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import pytest
+from localizers import make_parameters
 
 from fnn_ekf_ros.membership.files import (
     PACKAGED,
@@ -129,13 +129,13 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("adaptation", ["joint", "r", "rq", "none"])
 def test_a_set_that_is_not_for_its_mode_is_refused_in_every_mode(
-    make_parameters: Any, adaptation: str, changes: dict[str, str], said: str
+    adaptation: str, changes: dict[str, str], said: str
 ) -> None:
     with pytest.raises(MembershipError, match=said):
         networks_for(make_parameters(adaptation=adaptation, **changes))
 
 
-def test_each_covariance_gets_its_own_set(make_parameters: Any) -> None:
+def test_each_covariance_gets_its_own_set() -> None:
     published, trained, initial, joint = map(
         read_membership, ("published", "trained", "initial", "joint")
     )

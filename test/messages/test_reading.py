@@ -4,7 +4,6 @@
 """What messages mean, and what is refused in them."""
 
 import math
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from localizers import make_parameters
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.timeline.events import (
     CompassYaw,
     PoseFix,
@@ -27,7 +26,6 @@ from fnn_ekf_ros.timeline.events import (
 )
 
 STAMP_NS = 1_700_000_000_987_654_321
-MakeParameters = Callable[..., LocalizerParameters]
 
 
 def header(frame: str = "map") -> Any:
@@ -88,15 +86,13 @@ BAD_QUATERNIONS = [
 
 @pytest.mark.parametrize("topic", ["left_ticks", "right_ticks"])
 @pytest.mark.parametrize("data", [0, -(2**31), 2**31 - 1, np.int32(7)])
-def test_ticks_are_stamped_on_arrival(
-    make_parameters: MakeParameters, topic: str, data: int
-) -> None:
+def test_ticks_are_stamped_on_arrival(topic: str, data: int) -> None:
     found = messages.read_input(topic, SimpleNamespace(data=data), 123, make_parameters())
     wheel = Wheel.LEFT if topic == "left_ticks" else Wheel.RIGHT
     assert found == [WheelCount(123, wheel, int(data))]
 
 
-def test_joints_are_found_by_name_and_carry_their_stamp(make_parameters: MakeParameters) -> None:
+def test_joints_are_found_by_name_and_carry_their_stamp() -> None:
     parameters = make_parameters(encoder_source="joint_states", left_joint="l", right_joint="r")
 
     def read(names: list[str], positions: list[float]) -> Any:
@@ -121,7 +117,7 @@ def test_joints_are_found_by_name_and_carry_their_stamp(make_parameters: MakePar
     ],
 )
 def test_joints_without_a_usable_position_are_refused(
-    make_parameters: MakeParameters, names: list[str], positions: list[float], words: str
+    names: list[str], positions: list[float], words: str
 ) -> None:
     parameters = make_parameters(encoder_source="joint_states")
     found = messages.read_input("joint_states", joints(names, positions), 1, parameters)
@@ -152,14 +148,14 @@ def test_yaw_of_a_tilted_robot(yaw: float, pitch: float, roll: float) -> None:
 
 
 @pytest.mark.parametrize("q", BAD_QUATERNIONS)
-def test_what_is_no_rotation_has_no_yaw(make_parameters: MakeParameters, q: Any) -> None:
+def test_what_is_no_rotation_has_no_yaw(q: Any) -> None:
     assert messages.yaw_of(quaternion(*q)) is None
     found = messages.read_input("compass", imu(quaternion(*q)), 1, make_parameters())
     assert "no unit quaternion" in refused(found, Sensor.COMPASS)
 
 
 @pytest.mark.parametrize("frame", ["", "imu_link", "somewhere"])
-def test_the_compass_frame_is_not_checked(make_parameters: MakeParameters, frame: str) -> None:
+def test_the_compass_frame_is_not_checked(frame: str) -> None:
     parameters = make_parameters(compass_offset=1.0)  # added later, not here
     (found,) = messages.read_input("compass", imu(turned(-2.5), frame=frame), 1, parameters)
     assert isinstance(found, CompassYaw)
@@ -167,14 +163,14 @@ def test_the_compass_frame_is_not_checked(make_parameters: MakeParameters, frame
     assert found.yaw == pytest.approx(-2.5)
 
 
-def test_an_imu_without_an_orientation_is_no_compass(make_parameters: MakeParameters) -> None:
+def test_an_imu_without_an_orientation_is_no_compass() -> None:
     nothing = quaternion(0.0, 0.0, 0.0, 0.0)
     assert messages.read_input("compass", imu(nothing, -1.0), 1, make_parameters()) == []
     assert messages.read_input("compass", imu(turned(1.0), -1.0), 1, make_parameters()) == []
 
 
 @pytest.mark.parametrize("frame", ["x" * 10**6, "a\nb", "\x00", "\x1b[2J", "\u2028", "'"])
-def test_any_frame_is_named_in_one_short_line(make_parameters: MakeParameters, frame: str) -> None:
+def test_any_frame_is_named_in_one_short_line(frame: str) -> None:
     found = messages.read_input("lrf_pose", pose_message(frame=frame), 1, make_parameters())
     reason = refused(found, Sensor.LRF_POSE)
     assert reason.isprintable()
@@ -184,9 +180,7 @@ def test_any_frame_is_named_in_one_short_line(make_parameters: MakeParameters, f
 
 @pytest.mark.parametrize("topic", ["lrf_pose", "initialpose"])
 @pytest.mark.parametrize("frame", ["", "odom", "/map", "Map", "map "])
-def test_poses_in_foreign_frames_are_quarantined(
-    make_parameters: MakeParameters, topic: str, frame: str
-) -> None:
+def test_poses_in_foreign_frames_are_quarantined(topic: str, frame: str) -> None:
     found = messages.read_input(topic, pose_message(frame=frame), 1, make_parameters())
     assert refused(found, Sensor.LRF_POSE) == f"{topic} in frame '{frame}', expected 'map'"
     taken = messages.read_input(
@@ -199,14 +193,12 @@ def test_poses_in_foreign_frames_are_quarantined(
 @pytest.mark.parametrize("topic", ["lrf_pose", "initialpose"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, -1e8])
 @pytest.mark.parametrize("axis", ["x", "y"])
-def test_positions_that_are_none_are_quarantined(
-    make_parameters: MakeParameters, topic: str, value: float, axis: str
-) -> None:
+def test_positions_that_are_none_are_quarantined(topic: str, value: float, axis: str) -> None:
     found = messages.read_input(topic, pose_message(**{axis: value}), 1, make_parameters())
     assert f"{value:g}" in refused(found, Sensor.LRF_POSE)
 
 
-def test_a_fix(make_parameters: MakeParameters) -> None:
+def test_a_fix() -> None:
     covariance = np.arange(36.0)
     message = pose_message(3.0, -4.0, turned(2.0), covariance=covariance)
     (found,) = messages.read_input("lrf_pose", message, 1, make_parameters())
@@ -217,7 +209,7 @@ def test_a_fix(make_parameters: MakeParameters) -> None:
 
 
 @pytest.mark.parametrize("q", BAD_QUATERNIONS)
-def test_a_fix_needs_a_yaw_only_where_it_is_used(make_parameters: MakeParameters, q: Any) -> None:
+def test_a_fix_needs_a_yaw_only_where_it_is_used(q: Any) -> None:
     message = pose_message(orientation=quaternion(*q))
     (found,) = messages.read_input("lrf_pose", message, 1, make_parameters())
     assert isinstance(found, PoseFix)
@@ -249,9 +241,7 @@ NO_COVARIANCES = [
 
 
 @pytest.mark.parametrize("block", NO_COVARIANCES)
-def test_a_reported_covariance_must_be_one_where_it_is_used(
-    make_parameters: MakeParameters, block: FloatArray
-) -> None:
+def test_a_reported_covariance_must_be_one_where_it_is_used(block: FloatArray) -> None:
     message = pose_message(covariance=planar(block))
     using = make_parameters(lrf_use_message_covariance=True)
     reason = refused(messages.read_input("lrf_pose", message, 1, using), Sensor.LRF_POSE)
@@ -261,7 +251,7 @@ def test_a_reported_covariance_must_be_one_where_it_is_used(
 
 @pytest.mark.parametrize("yaw_variance", [0.0, -1.0, math.nan, math.inf])
 def test_the_yaw_of_a_reported_covariance_matters_only_where_it_is_used(
-    make_parameters: MakeParameters, yaw_variance: float
+    yaw_variance: float,
 ) -> None:
     message = pose_message(covariance=planar(np.diag([0.1, 0.2, yaw_variance])))
     without = make_parameters(lrf_use_message_covariance=True)
@@ -270,7 +260,7 @@ def test_the_yaw_of_a_reported_covariance_matters_only_where_it_is_used(
     refused(messages.read_input("lrf_pose", message, 1, with_yaw), Sensor.LRF_POSE)
 
 
-def test_a_set_pose(make_parameters: MakeParameters) -> None:
+def test_a_set_pose() -> None:
     message = pose_message(3.0, -4.0, turned(-1.0), covariance=planar(np.diag([0.25, 0.3, 0.07])))
     for now_ns, stamp_ns in ((STAMP_NS + 7, STAMP_NS), (STAMP_NS - 7, STAMP_NS - 7)):
         (found,) = messages.read_input("initialpose", message, now_ns, make_parameters())
@@ -284,9 +274,7 @@ def test_a_set_pose(make_parameters: MakeParameters) -> None:
     assert found.stamp_ns == 123
 
 
-def test_a_set_pose_without_a_covariance_gets_the_parameters(
-    make_parameters: MakeParameters,
-) -> None:
+def test_a_set_pose_without_a_covariance_gets_the_parameters() -> None:
     parameters = make_parameters(initial_pose_std=[0.3, 0.2, 0.1])
     (found,) = messages.read_input("initialpose", pose_message(), STAMP_NS, parameters)
     assert isinstance(found, PoseReset)
@@ -304,15 +292,13 @@ def test_a_set_pose_without_a_covariance_gets_the_parameters(
         np.array([[1.0, 0.9, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
     ],
 )
-def test_a_set_pose_with_a_covariance_that_is_none_is_quarantined(
-    make_parameters: MakeParameters, block: FloatArray
-) -> None:
+def test_a_set_pose_with_a_covariance_that_is_none_is_quarantined(block: FloatArray) -> None:
     message = pose_message(covariance=planar(block))
     found = messages.read_input("initialpose", message, STAMP_NS, make_parameters())
     assert "initialpose has the covariance" in refused(found, Sensor.LRF_POSE)
 
 
-def test_the_localizer_listens_to_one_source_of_counts(make_parameters: MakeParameters) -> None:
+def test_the_localizer_listens_to_one_source_of_counts() -> None:
     others = {"compass", "lrf_pose", "initialpose"}
     by_ticks = messages.input_topics(make_parameters())
     assert set(by_ticks) == others | {"left_ticks", "right_ticks"}

@@ -4,16 +4,15 @@
 """What is written into messages."""
 
 import math
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from localizers import Arrival, as_object, feed, make_parameters, make_pipeline, simulated
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.messages import NOISE_FIELDS, Message
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.messages import NOISE_FIELDS
 from fnn_ekf_ros.timeline.events import (
     CompassYaw,
     Estimate,
@@ -23,20 +22,17 @@ from fnn_ekf_ros.timeline.events import (
 )
 
 STAMP_NS = 1_700_000_000_987_654_321
-MakeParameters = Callable[..., LocalizerParameters]
 
 
 @pytest.fixture(scope="module")
-def estimates(make_pipeline: Any, feed: Any, simulated: Any) -> list[Estimate]:
+def estimates() -> list[Estimate]:
     """Estimates of a run of a filter that learns; the first is the start."""
     outputs = feed(make_pipeline(adaptation="r"), simulated(11, 30.0).arrivals)
     return [output.estimate for output in outputs if output.estimate is not None]
 
 
 @pytest.mark.slow
-def test_odometry_carries_pose_twist_and_their_covariances(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
+def test_odometry_carries_pose_twist_and_their_covariances(estimates: list[Estimate]) -> None:
     estimate = estimates[-1]
     made = messages.odometry(estimate, "map", "base_link")
     assert made.type_name == "nav_msgs/msg/Odometry"
@@ -65,9 +61,7 @@ def test_odometry_carries_pose_twist_and_their_covariances(
     )
 
 
-def test_noise_numbers_are_as_many_as_their_names(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
+def test_noise_numbers_are_as_many_as_their_names(estimates: list[Estimate]) -> None:
     assert len(set(NOISE_FIELDS)) == len(NOISE_FIELDS)
     for estimate in (estimates[0], estimates[-1]):
         made = messages.noise(estimate)
@@ -80,9 +74,7 @@ def test_noise_numbers_are_as_many_as_their_names(
         assert np.all(np.isfinite(message.data))
 
 
-def test_noise_numbers_are_what_their_names_say(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
+def test_noise_numbers_are_what_their_names_say(estimates: list[Estimate]) -> None:
     estimate = estimates[-1]
     assert estimate.result is not None
     assert estimates[0].result is None
@@ -122,9 +114,7 @@ def test_noise_numbers_keep_their_places() -> None:
 
 @pytest.mark.parametrize("mode", ["r", "q", "rq"])
 @pytest.mark.slow
-def test_noise_numbers_tell_what_fired(
-    make_pipeline: Any, feed: Any, simulated: Any, as_object: Callable[[Message], Any], mode: str
-) -> None:
+def test_noise_numbers_tell_what_fired(mode: str) -> None:
     outputs = feed(make_pipeline(adaptation=mode), simulated(11, 30.0).arrivals)
     *_, last = (output.estimate for output in outputs if output.estimate is not None)
     data = as_object(messages.noise(last)).data
@@ -138,9 +128,7 @@ def test_noise_numbers_tell_what_fired(
         np.testing.assert_array_equal(data[[20, 21, 22, 26, 27, 28]], np.ravel(process, order="F"))
 
 
-def test_numbers_to_plot_are_the_roots_of_the_noise_in_use(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
-) -> None:
+def test_numbers_to_plot_are_the_roots_of_the_noise_in_use(estimates: list[Estimate]) -> None:
     for estimate in (estimates[0], estimates[-1]):
         made = messages.numbers(estimate)
         assert {message.type_name for message in made.values()} == {"std_msgs/msg/Float64"}
@@ -159,9 +147,7 @@ def test_numbers_to_plot_are_the_roots_of_the_noise_in_use(
 
 
 @pytest.mark.slow
-def test_a_nis_to_plot_is_per_degree_of_freedom_and_only_of_what_was_measured(
-    make_pipeline: Any, feed: Any, simulated: Any, as_object: Callable[[Message], Any]
-) -> None:
+def test_a_nis_to_plot_is_per_degree_of_freedom_and_only_of_what_was_measured() -> None:
     """A compass that is silent for some periods, then fixes, then both."""
     silent = {CompassYaw: (8.0, 12.0, 18.0, 20.0), PoseFix: (14.0, 20.0)}
 
@@ -202,9 +188,7 @@ def test_what_is_published_with_an_estimate_is_what_is_announced(estimates: list
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
 @pytest.mark.slow
-def test_noise_numbers_tell_what_the_gate_did(
-    make_pipeline: Any, feed: Any, simulated: Any, arrival: Any, as_object: Any, mode: str
-) -> None:
+def test_noise_numbers_tell_what_the_gate_did(mode: str) -> None:
     """A lone compass reading that is off by 3 rad, and fixes that lie 20 m off from then on."""
     arrivals, wild_ns = [], None
     for now_ns, sent in simulated(11, 30.0).arrivals:
@@ -213,7 +197,7 @@ def test_noise_numbers_tell_what_the_gate_did(
             wild_ns, event = now_ns, sent._replace(yaw=sent.yaw + 3.0)
         if isinstance(sent, PoseFix) and now_ns > 20 * 10**9:
             event = sent._replace(pose=sent.pose + np.array([20.0, 0.0, 0.0]))
-        arrivals.append(arrival(now_ns, event))
+        arrivals.append(Arrival(now_ns, event))
     named = []
     for output in feed(make_pipeline(adaptation=mode), arrivals):
         if output.estimate is not None and output.estimate.result is not None:
@@ -231,9 +215,7 @@ def test_noise_numbers_tell_what_the_gate_did(
     assert rejected[-1] <= moved[0] < rejected[0] + 5 * 10**9
 
 
-def test_noise_numbers_tell_what_joint_adaptation_estimates(
-    make_pipeline: Any, feed: Any, simulated: Any, as_object: Callable[[Message], Any]
-) -> None:
+def test_noise_numbers_tell_what_joint_adaptation_estimates() -> None:
     pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])
     outputs = feed(pipeline, simulated(11, 30.0).arrivals)
     first, *_, last = (output.estimate for output in outputs if output.estimate is not None)
@@ -252,13 +234,13 @@ def test_noise_numbers_tell_what_joint_adaptation_estimates(
 
 
 def test_noise_numbers_of_joint_adaptation_are_zero_in_other_modes(
-    estimates: list[Estimate], as_object: Callable[[Message], Any]
+    estimates: list[Estimate],
 ) -> None:
     for estimate in estimates:
         np.testing.assert_array_equal(as_object(messages.noise(estimate)).data[32:40], 0.0)
 
 
-def test_diagnostics_names_levels_and_values(as_object: Callable[[Message], Any]) -> None:
+def test_diagnostics_names_levels_and_values() -> None:
     statuses = (
         Status("encoders", Level.ERROR, "no message yet", (("received", "0"),)),
         Status("filter", Level.OK, "running", (("NIS", "3.1"), ("adaptation", "r"))),
@@ -278,25 +260,23 @@ def test_diagnostics_names_levels_and_values(as_object: Callable[[Message], Any]
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -3.1, math.pi])
-def test_yaw_there_and_back(as_object: Callable[[Message], Any], yaw: float) -> None:
+def test_yaw_there_and_back(yaw: float) -> None:
     found = messages.yaw_of(as_object(messages.quaternion(yaw)))
     assert found == pytest.approx(yaw)
 
 
-def test_no_yaw_is_no_quaternion(as_object: Callable[[Message], Any]) -> None:
+def test_no_yaw_is_no_quaternion() -> None:
     assert messages.yaw_of(as_object(messages.quaternion(math.nan))) is None
 
 
 @pytest.mark.parametrize("stamp", [0, 1, 999_999_999, 10**9, STAMP_NS])
-def test_stamps_there_and_back(as_object: Callable[[Message], Any], stamp: int) -> None:
+def test_stamps_there_and_back(stamp: int) -> None:
     message = SimpleNamespace(header=as_object(messages.header(stamp, "map")))
     assert messages.stamp_ns(message) == stamp
     assert 0 <= message.header.stamp.nanosec < 10**9
 
 
-def test_a_compass_message_can_be_read_again(
-    make_parameters: MakeParameters, as_object: Callable[[Message], Any]
-) -> None:
+def test_a_compass_message_can_be_read_again() -> None:
     made = as_object(messages.compass_message(STAMP_NS, "base_link", 1.25, 0.1))
     assert made.orientation_covariance[8] == pytest.approx(0.01)
     (found,) = messages.read_input("compass", made, 1, make_parameters())

@@ -5,7 +5,6 @@
 
 import gc
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -353,7 +352,7 @@ def test_times_out_of_order_come_back_in_order(tmp_path: Path, storage: str) -> 
     assert [record.time_ns for record in read_bag(tmp_path / "bag")] == sorted(times)
 
 
-def test_a_read_only_copy_of_a_real_command(recorded: Path, as_object: Callable[..., Any]) -> None:
+def test_a_read_only_copy_of_a_real_command(recorded: Path) -> None:
     """What the package simulates is what its reader calls the localizer's inputs."""
     with BagReader(recorded) as bag:
         types = {name: topic.type_name for name, topic in bag.topics.items()}

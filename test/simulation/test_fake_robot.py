@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import START_NS
+from localizers import START_NS, as_object
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.angles import wrap_angle
@@ -244,7 +244,7 @@ def test_what_the_sensors_draw_does_not_change_the_drive() -> None:
     assert truth() == truth(compass_std=0.5, lrf_std=[1.0, 2.0, 3.0])
 
 
-def test_messages_have_their_types_rates_and_stamps(as_object: Any) -> None:
+def test_messages_have_their_types_rates_and_stamps() -> None:
     sent = sent_by(30.0)
     rates = {
         "left_ticks": 20.0, "right_ticks": 20.0, "joint_states": 20.0, "compass": 8.0,
@@ -265,7 +265,7 @@ def test_messages_have_their_types_rates_and_stamps(as_object: Any) -> None:
 
 
 @pytest.mark.slow
-def test_sensors_are_as_noisy_as_they_are_set(as_object: Any) -> None:
+def test_sensors_are_as_noisy_as_they_are_set() -> None:
     sent = sent_by(110.0, lrf_std=[0.1, 0.3, 0.05], compass_std=0.2, **QUIET)
     truth = {t: messages.planar_pose(as_object(s.message)) for t, s in sent
              if s.topic == "ground_truth"}  # fmt: skip
@@ -305,7 +305,7 @@ def test_paths_are_closed_and_evenly_spaced(name: str) -> None:
 
 @pytest.mark.parametrize("name", PATHS)
 @pytest.mark.slow
-def test_the_driver_keeps_to_the_path(name: str, as_object: Any) -> None:
+def test_the_driver_keeps_to_the_path(name: str) -> None:
     path = scripted_path(name)
     truth = np.array(
         [
@@ -324,7 +324,7 @@ def test_an_unknown_path_is_refused() -> None:
         scripted_path("triangle")
 
 
-def test_it_follows_commands(as_object: Any) -> None:
+def test_it_follows_commands() -> None:
     robot = FakeRobot(build(FakeRobotParameters, {"path": "cmd_vel", **QUIET}), START_NS)
     for _ in range(80):
         robot.step()

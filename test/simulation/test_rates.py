@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from localizers import SECOND_NS, START_NS
+from localizers import SECOND_NS, START_NS, as_object, feed, make_pipeline, simulated
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import Message
@@ -161,7 +161,7 @@ def test_counters_say_the_same_whenever_they_are_read() -> None:
     assert len(counts) == 800
 
 
-def test_readings_within_a_step_lie_on_the_way(as_object: Any) -> None:
+def test_readings_within_a_step_lie_on_the_way() -> None:
     """On a circle, without noise, at 100 Hz: the truth at the stamp, through the wrap of yaw."""
     robot = FakeRobot(
         build(
@@ -191,7 +191,7 @@ def test_readings_within_a_step_lie_on_the_way(as_object: Any) -> None:
 
 @pytest.mark.parametrize("rate", [1.0, 50.0])
 @pytest.mark.slow
-def test_noise_is_as_large_as_it_is_set_at_any_rate(rate: float, as_object: Any) -> None:
+def test_noise_is_as_large_as_it_is_set_at_any_rate(rate: float) -> None:
     still = {"path": "cmd_vel", "compass_rate": rate, "lrf_rate": rate}
     sent = drive(max(40.0, 100.0 / rate), **still)
     yaws = [messages.yaw_of(as_object(e.message).orientation) for e in on(sent, "compass")]
@@ -287,7 +287,7 @@ def test_a_clock_jump_moves_the_stamps_of_readings_taken_after_it() -> None:
         assert other.stamp_ns - one.stamp_ns == (30 * SECOND_NS if jumped else 0)
 
 
-def test_a_reading_within_the_step_of_a_kidnapping_was_taken_before_it(as_object: Any) -> None:
+def test_a_reading_within_the_step_of_a_kidnapping_was_taken_before_it() -> None:
     kidnap = Kidnap(start=4.0 - 0.0125, move=(50.0, 0.0, 0.0))
     runs = (on(drive(6.0, f, **FAST, path="cmd_vel"), "lrf_pose") for f in ([], [kidnap]))
     for one, other in zip(*runs, strict=True):
@@ -311,9 +311,7 @@ def test_a_reading_within_the_step_of_a_kidnapping_was_taken_before_it(as_object
     ids=str,
 )
 @pytest.mark.slow
-def test_a_localizer_follows_a_robot_with_other_rates(
-    make_pipeline: Any, feed: Any, simulated: Any, source: str, rates: dict[str, float]
-) -> None:
+def test_a_localizer_follows_a_robot_with_other_rates(source: str, rates: dict[str, float]) -> None:
     sent = simulated(7, 40.0, source, path="round", **rates)
     outputs = feed(make_pipeline(encoder_source=source), sent.arrivals)
     estimates = [output.estimate for output in outputs if output.estimate is not None]

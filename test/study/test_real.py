@@ -8,14 +8,14 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from commands import Refuse, Succeed
-from localizers import SECOND_NS, Feed
+from localizers import SECOND_NS, Arrival, feed, make_parameters, simulated
 
 from fnn_ekf_ros.commands import study_real
 from fnn_ekf_ros.core.arrays import Row
@@ -55,11 +55,10 @@ FILTERS: dict[str, dict[str, Any]] = {
     "q_trained": {"adaptation": "q", "membership_file": "trained"} | NO_GATE,
 }
 BEGIN_NS = 3 * SECOND_NS
-Make = Callable[..., LocalizerParameters]
 
 
 @pytest.fixture(scope="module")
-def arrivals(simulated: Any) -> list[Any]:
+def arrivals() -> list[Any]:
     """20 s of a simulated robot whose fixes were taken up to 0.2 s before they are sent."""
     rng = np.random.default_rng(3)
     moved = []
@@ -71,7 +70,7 @@ def arrivals(simulated: Any) -> list[Any]:
     return moved
 
 
-def run_of(parameters: LocalizerParameters, name: str, arrivals: Any, feed: Feed) -> Any:
+def run_of(parameters: LocalizerParameters, name: str, arrivals: Any) -> Any:
     """Return stamps and run of a filter from `CELLS`, as the study does it."""
     pipeline, recorder = recording_localizer(parameters)
     feed(pipeline, arrivals)
@@ -83,9 +82,7 @@ def run_of(parameters: LocalizerParameters, name: str, arrivals: Any, feed: Feed
     return [batch.stamp_ns, *batch.stamps_ns], run
 
 
-def outputs_of(
-    parameters: LocalizerParameters, name: str, cell: Cell, arrivals: Any, feed: Feed
-) -> list[Any]:
+def outputs_of(parameters: LocalizerParameters, name: str, cell: Cell, arrivals: Any) -> list[Any]:
     """Return the estimates of the localizer itself."""
     told = dataclasses.replace(with_noise_factors(parameters, cell), **FILTERS[name])
     pipeline = Localizer(told, networks_for(told))
@@ -110,13 +107,11 @@ def assert_row(run: Run, index: int, stamps: Sequence[int], estimates: Sequence[
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.slow
-def test_every_start_is_what_the_localizer_does_with_that_noise(
-    name: str, make_parameters: Make, arrivals: Any, feed: Feed
-) -> None:
+def test_every_start_is_what_the_localizer_does_with_that_noise(name: str, arrivals: Any) -> None:
     parameters = make_parameters(lrf_use_yaw=True)
-    stamps, run = run_of(parameters, name, arrivals, feed)
+    stamps, run = run_of(parameters, name, arrivals)
     for index, cell in enumerate(CELLS):
-        estimates = outputs_of(parameters, name, cell, arrivals, feed)
+        estimates = outputs_of(parameters, name, cell, arrivals)
         assert estimates[0].stamp_ns == stamps[0]
         assert_row(run, index, stamps, estimates)
     assert np.all(np.ptp(run.mean, axis=1)[-1] > 0.0)
@@ -124,9 +119,7 @@ def test_every_start_is_what_the_localizer_does_with_that_noise(
 
 @pytest.mark.parametrize("name", ["joint", "r_published"])
 @pytest.mark.slow
-def test_covariances_that_the_fixes_bring_count_k_times(
-    name: str, make_parameters: Make, arrivals: Any, feed: Feed
-) -> None:
+def test_covariances_that_the_fixes_bring_count_k_times(name: str, arrivals: Any) -> None:
     parameters = make_parameters(lrf_use_message_covariance=True)
     rng = np.random.default_rng(4)
 
@@ -141,28 +134,26 @@ def test_covariances_that_the_fixes_bring_count_k_times(
         k: [claim(k, each, scale) for each, scale in zip(arrivals, scales, strict=True)]
         for k in {1.0} | {cell.k for cell in CELLS}
     }
-    stamps, run = run_of(parameters, name, claimed[1.0], feed)
+    stamps, run = run_of(parameters, name, claimed[1.0])
     for index, cell in enumerate(CELLS):
-        estimates = outputs_of(parameters, name, cell, claimed[cell.k], feed)
+        estimates = outputs_of(parameters, name, cell, claimed[cell.k])
         assert_row(run, index, stamps, estimates)
 
 
 @pytest.mark.slow
-def test_poses_that_were_set_from_outside(
-    make_parameters: Make, arrivals: Any, feed: Feed, arrival: Any
-) -> None:
+def test_poses_that_were_set_from_outside(arrivals: Any) -> None:
     parameters = make_parameters(initial_pose=[0.1, -0.2, 0.3], initial_pose_std=[0.3, 0.3, 0.1])
     reset = PoseReset(BEGIN_NS + 10 * SECOND_NS + 7, np.array([5.0, 4.0, 1.0]), 0.04 * np.eye(3))
-    both = sorted([*arrivals, arrival(reset.stamp_ns, reset)], key=lambda each: each.now_ns)
-    stamps, run = run_of(parameters, "joint", both, feed)
+    both = sorted([*arrivals, Arrival(reset.stamp_ns, reset)], key=lambda each: each.now_ns)
+    stamps, run = run_of(parameters, "joint", both)
     np.testing.assert_array_equal(run.mean[0], np.tile([0.1, -0.2, 0.3], (len(CELLS), 1)))
     for index, cell in enumerate(CELLS):
-        estimates = outputs_of(parameters, "joint", cell, both, feed)
+        estimates = outputs_of(parameters, "joint", cell, both)
         assert estimates[0].stamp_ns == stamps[1]
         assert_row(run, index, stamps, estimates)
 
 
-def test_late_inputs_count_in_their_place(make_parameters: Make, arrivals: Any, feed: Feed) -> None:
+def test_late_inputs_count_in_their_place(arrivals: Any) -> None:
     """The localizer says so from the next period on; the study from the period they belong to."""
     parameters = make_parameters()
     late = next(
@@ -174,10 +165,10 @@ def test_late_inputs_count_in_their_place(make_parameters: Make, arrivals: Any, 
         [each._replace(now_ns=arrived) if each is late else each for each in arrivals],
         key=lambda each: each.now_ns,
     )
-    stamps, run = run_of(parameters, "joint", moved, feed)
-    _, in_time = run_of(parameters, "joint", arrivals, feed)
+    stamps, run = run_of(parameters, "joint", moved)
+    _, in_time = run_of(parameters, "joint", arrivals)
     np.testing.assert_array_equal(run.mean, in_time.mean)
-    estimates = outputs_of(parameters, "joint", CELLS[1], moved, feed)
+    estimates = outputs_of(parameters, "joint", CELLS[1], moved)
     between = [e for e in estimates if late.event.stamp_ns + 4 * 10**8 < e.stamp_ns < arrived]
     assert between
     for each in between:
@@ -188,9 +179,7 @@ def test_late_inputs_count_in_their_place(make_parameters: Make, arrivals: Any, 
 
 
 @pytest.mark.parametrize("jump_s", [-100.0, 3600.0])
-def test_a_recording_that_is_not_in_one_piece_is_noticed(
-    make_parameters: Make, arrivals: Any, feed: Feed, jump_s: float
-) -> None:
+def test_a_recording_that_is_not_in_one_piece_is_noticed(arrivals: Any, jump_s: float) -> None:
     pipeline, recorder = recording_localizer(make_parameters())
     by_ns = round(jump_s * SECOND_NS)
     again = [

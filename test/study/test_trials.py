@@ -3,11 +3,11 @@
 
 """Filters and trials of the studies: what they share, and how they must come out."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from localizers import make_parameters
 
 from fnn_ekf_ros.core.arrays import Row, components_first, components_last
 from fnn_ekf_ros.core.filter import step
@@ -15,7 +15,6 @@ from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.state import start_filter
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.study import dynamic, grid, paper, trials
 from fnn_ekf_ros.study.filters import StudyFilter, study_filters
 from fnn_ekf_ros.study.recording import Recording, Start
@@ -43,11 +42,10 @@ CELLS = (RIGHT, Cell(1.0, 1 / 25), Cell(1.0, 25.0), Cell(1 / 25, 25.0), Cell(25.
 SIZE = Size(steps=240, runs=30, seed=4)
 NO_GATE = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 TINY = Size(steps=20, runs=3, seed=2)
-Make = Callable[..., LocalizerParameters]
 
 
 @pytest.fixture(scope="module")
-def filters(make_parameters: Make) -> dict[str, StudyFilter]:
+def filters() -> dict[str, StudyFilter]:
     return study_filters(make_parameters())
 
 
@@ -150,7 +148,7 @@ def test_a_batch_is_what_its_robots_are_one_by_one(
     ],
 )
 def test_filters_are_the_localizers_own(
-    make_parameters: Make, tiny: tuple[Recording, Start], name: str, changes: dict[str, Any]
+    tiny: tuple[Recording, Start], name: str, changes: dict[str, Any]
 ) -> None:
     """Step by step with the model that the localizer would make of its parameters."""
     shared = {"innovation_window": 6, "motion_model": "paper"}

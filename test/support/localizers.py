@@ -1,14 +1,25 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Times, geometry and types that tests of the localizer share."""
+"""Localizers of the paper's robot, what they hear, and views of what they give."""
 
-from collections.abc import Callable, Iterable
+import functools
+from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.localizer.localizer import Localizer
-from fnn_ekf_ros.timeline.events import Event, Output, Status
+from fnn_ekf_ros.membership.files import networks_for
+from fnn_ekf_ros.messages import Message
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.simulation.fake_robot import FakeRobot
+from fnn_ekf_ros.timeline.events import Event, Output, Rejected, Status
 
 PERIOD_NS = 375_000_000
 """The paper's period [ns]."""
@@ -40,9 +51,71 @@ class Run(NamedTuple):
     truth: dict[int, FloatArray]
 
 
-MakePipeline = Callable[..., Localizer]
-Feed = Callable[[Localizer, Iterable[Any]], list[Output]]
-Same = Callable[[list[Output], list[Output]], None]
+def make_parameters(**changes: Any) -> LocalizerParameters:
+    """Return parameters for the paper's robot, with changes."""
+    return build(LocalizerParameters, GEOMETRY | changes)
+
+
+def make_pipeline(**changes: Any) -> Localizer:
+    """Return a localizer for the paper's robot, with changed parameters."""
+    parameters = make_parameters(**changes)
+    return Localizer(parameters, networks_for(parameters))
+
+
+def joints_pipeline(**changes: Any) -> Localizer:
+    """Return one that listens to joint states, which have no steps."""
+    return make_pipeline(**JOINTS, **changes)
+
+
+def feed(pipeline: Localizer, arrivals: Iterable[Arrival]) -> list[Output]:
+    """Feed arrivals to a localizer; return all it gives."""
+    return [output for now, event in arrivals for output in pipeline.add(event, now)]
+
+
+def as_object(field: Any) -> Any:
+    """Return an object with attributes of a message tree, as rclpy or rosbags would give it."""
+    if isinstance(field, Message):
+        return SimpleNamespace(**{name: as_object(v) for name, v in field.fields.items()})
+    if isinstance(field, list):
+        return [as_object(entry) for entry in field]
+    return field
+
+
+@functools.cache
+def simulated(seed: int, seconds: float, source: str = "ticks", **robot: Any) -> Run:
+    """Return a simulated run, as a localizer with ticks or joint_states would read it; kept."""
+    listening = make_parameters(encoder_source=source)
+    topics = messages.input_topics(listening)
+    fake = FakeRobot(build(FakeRobotParameters, {"seed": seed, **robot}), START_NS)
+    arrivals: list[Arrival] = []
+    truth: dict[int, FloatArray] = {}
+    while fake.stamp_ns < START_NS + seconds * 1e9:
+        for sent in fake.step():
+            if sent.topic == messages.GROUND_TRUTH:
+                truth[fake.stamp_ns] = messages.planar_pose(as_object(sent.message))
+            elif sent.topic in topics:
+                events = messages.read_input(
+                    sent.topic, as_object(sent.message), fake.stamp_ns, listening
+                )
+                assert not isinstance(events, Rejected)
+                arrivals += [Arrival(fake.stamp_ns, event) for event in events]
+    return Run(tuple(arrivals), truth)
+
+
+def same_estimates(first: list[Output], second: list[Output]) -> None:
+    """Assert that two lists of outputs hold the same states, bit for bit."""
+    assert [o.stamp_ns for o in first] == [o.stamp_ns for o in second]
+    for one, other in zip(first, second, strict=True):
+        assert (one.estimate is None) == (other.estimate is None)
+        if one.estimate is None or other.estimate is None:
+            continue
+        np.testing.assert_array_equal(one.estimate.twist, other.estimate.twist)
+        for name in ("mean", "covariance", "process_noise", "measurement_noise"):
+            np.testing.assert_array_equal(
+                getattr(one.estimate.state, name),
+                getattr(other.estimate.state, name),
+                err_msg=f"{name} at {one.stamp_ns} ns",
+            )
 
 
 def estimates(outputs: list[Output]) -> list[Output]:
