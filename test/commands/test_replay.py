@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from commands import Refuse, Succeed, contents, parameters_of, records
 from localizers import make_pipeline
+from places import ROOT
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -29,8 +30,6 @@ from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.recordings.bag_files import BagReader
 from fnn_ekf_ros.recordings.bag_writer import BagWriter
 from fnn_ekf_ros.timeline.events import Output, Rejected
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def copy_without(source: Path, out: Path, *topics: str) -> Path:

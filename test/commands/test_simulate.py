@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from commands import Refuse, Succeed, contents
+from places import FAULTS_EXAMPLE
 
 from fnn_ekf_ros.messages import stamp_ns
 from fnn_ekf_ros.parameters.files import read_parameter_file
@@ -131,9 +132,10 @@ def test_simulate_refuses_a_wrong_timeline_of_faults(tmp_path: Path, refuse: Ref
 @pytest.mark.slow
 def test_simulate_with_faults_makes_the_same_bytes_twice(tmp_path: Path, succeed: Succeed) -> None:
     faults = tmp_path / "faults.yaml"
-    example = Path(__file__).resolve().parents[2] / "config" / "faults_example.yaml"
     # Ten times as fast, so that each fault has its turn.
-    faults.write_text(re.sub(r"(start|duration): (\d+)\.0", r"\1: \2e-1", example.read_text()))
+    faults.write_text(
+        re.sub(r"(start|duration): (\d+)\.0", r"\1: \2e-1", FAULTS_EXAMPLE.read_text())
+    )
     made = []
     for name in ("one", "two"):
         (tmp_path / name).mkdir()

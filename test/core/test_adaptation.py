@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drives import UNEVEN_Q as Q
+from drives import UNEVEN_R as R
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from periods import ALL_ROWS
@@ -26,8 +28,6 @@ from fnn_ekf_ros.core.window import InnovationWindow, empty_window, mean_square,
 
 PROPERTY = settings(derandomize=True, deadline=None, database=None, max_examples=200)
 
-Q = np.array([4e-4, 3e-4])
-R = np.array([0.01, 0.012, 0.018, 0.02])
 DISTANCE, ROTATION = 0, 1
 AS_IN_USE = Scales(process=1.0, measurement=np.ones(4))
 """The noise in use is the noise that is adapted."""

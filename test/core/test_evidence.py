@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from drives import UNEVEN_Q as Q
+from drives import UNEVEN_R as R
 from textbook_ekf import textbook_step
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
@@ -42,8 +44,6 @@ ALL_MASKS = list(itertools.product([False, True], repeat=4))
 STATE_OF_ROW = [0, 1, 2, 2]
 SCALE_OF_ROW = [2, 2, 3, 3]
 NU = TAIL_DEGREES_OF_FREEDOM
-Q = np.array([4e-4, 3e-4])
-R = np.array([0.01, 0.01, 0.018, 0.02])
 
 
 def expected_tail(scale: float, n: int) -> float:
@@ -144,7 +144,7 @@ def star_step(filters: Bank, period: Period) -> tuple[Bank, Innovations, Correct
     return taken.bank, seen, taken
 
 
-def evidence_of(seen: Innovations, taken: Correction, available: BoolArray) -> Evidence:
+def star_evidence_of(seen: Innovations, taken: Correction, available: BoolArray) -> Evidence:
     """Return what all rows available say to the star of one learner; its axis is left out."""
     rows = rows_where(available)
     evidence = star_evidence(
@@ -156,7 +156,7 @@ def evidence_of(seen: Innovations, taken: Correction, available: BoolArray) -> E
     return Evidence(evidence.score[:, 0], evidence.information[:, :, 0])
 
 
-def random_periods(seed: int, steps: int) -> list[Period]:
+def circle_periods(seed: int, steps: int) -> list[Period]:
     """A robot on a circle, measured by other rows each time."""
     rng = np.random.default_rng(seed)
     truth, periods = np.array([1.0, 2.0, 0.5])[:, None], []
@@ -196,7 +196,7 @@ def along_the_star(periods: list[Period]) -> list[Evidence]:
     found = []
     for period in periods:
         filters, seen, taken = star_step(filters, period)
-        found.append(evidence_of(seen, taken, period.available))
+        found.append(star_evidence_of(seen, taken, period.available))
     return found
 
 
@@ -205,7 +205,7 @@ def test_score_is_the_derivative_of_an_independent_filters_log_likelihood(
     h: float, tolerance: float
 ) -> None:
     """With the star's step to the last digits, and with a tiny one: no bias to speak of."""
-    periods = random_periods(seed=81, steps=60)
+    periods = circle_periods(seed=81, steps=60)
     score = np.array([evidence.score for evidence in along_the_star(periods)])
     expected = np.zeros_like(score)
     for scale in range(SCALE_COUNT):
@@ -223,7 +223,7 @@ def test_score_is_the_derivative_of_an_independent_filters_log_likelihood(
 
 def test_information_of_an_independent_filter_has_both_terms() -> None:
     """Row by row, of measured rows only."""
-    periods = random_periods(seed=82, steps=40)
+    periods = circle_periods(seed=82, steps=40)
     h = 1e-4
     by_offset = {
         (scale, side): independent_innovations(periods, side * h * np.eye(SCALE_COUNT)[scale])
@@ -278,7 +278,7 @@ def sample(control: list[float], available: BoolArray, seed: int, heavy: bool) -
         z[available] += (root @ r[..., None])[..., 0].T
         filters, seen, taken = star_step(filters, Period(driven, z, measured))
         if i >= 40:
-            evidence = evidence_of(seen, taken, measured)
+            evidence = star_evidence_of(seen, taken, measured)
             scores.append(evidence.score.T)
             information.append(np.mean(evidence.information, axis=-1))
     return Sampled(np.concatenate(scores), np.mean(information, axis=0))
@@ -328,7 +328,7 @@ def compared(bank: Bank, z: FloatArray, R: FloatArray, available: BoolArray) -> 
     """Return the evidence of readings of one robot, with variances `(4, 9)` of theirs."""
     noise = Noise(np.ones((2, STAR_SIZE)), R)
     seen = innovate(bank, Readings(z, available), R)
-    return evidence_of(seen, correct(bank, seen, noise, available), available)
+    return star_evidence_of(seen, correct(bank, seen, noise, available), available)
 
 
 def unit_bank(mean: FloatArray) -> Bank:

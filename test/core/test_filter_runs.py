@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from drives import TRUE_Q, TRUE_R
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
@@ -15,9 +16,6 @@ from fnn_ekf_ros.core.motion import MotionModel, displacement
 from fnn_ekf_ros.core.results import Epoch, StepResult
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 
-# The paper's simulation 1, (25): standard deviations per 375 ms and of the sensors.
-TRUE_Q = np.array([0.02, math.radians(1.0)]) ** 2
-TRUE_R = np.array([0.01, 0.01, 0.018, 0.018])
 COMPASS_AND_POSITION = np.array([True, True, True, False])
 
 

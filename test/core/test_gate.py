@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drives import TRUE_Q, TRUE_R
 
 from fnn_ekf_ros.core.adaptation import Adaptation
 from fnn_ekf_ros.core.angles import wrap_angle
@@ -36,7 +37,6 @@ PAPER_MODES = ("none", "r", "q", "rq")
 EVERYTHING = ("mean", "covariance", "process_noise", "measurement_noise")
 GATE = gate_for(1e-6, 1e-6)
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
-Q, R = np.array([4e-4, 3.046e-4]), np.array([0.01, 0.01, 0.018, 0.018])
 Make = Callable[..., Any]
 
 
@@ -55,9 +55,9 @@ def drive(
     available[list(rows)] = True
     for t in range(steps):
         control = np.array([0.11, 0.1 * math.sin(0.05 * t)])
-        true_control = control + np.sqrt(Q) * rng.standard_normal(2)
+        true_control = control + np.sqrt(TRUE_Q) * rng.standard_normal(2)
         pose = pose + displacement(MotionModel.EXACT_ARC, pose[2], true_control)
-        z = pose[[0, 1, 2, 2]] + noise_scale * np.sqrt(R) * rng.standard_normal(4)
+        z = pose[[0, 1, 2, 2]] + noise_scale * np.sqrt(TRUE_R) * rng.standard_normal(4)
         truth.append(pose)
         periods.append(Epoch(control, duration_s, z, available.copy()))
     return np.array(truth), periods
@@ -367,7 +367,7 @@ def test_noise_that_is_wrong_by_far_locks_nothing_out(
 ) -> None:
     """Q and R too small: most readings look like outliers, and soon are accepted all the same."""
     small = {
-        "process_noise": tuple(Q / too_tight), "measurement_noise": tuple(R / too_tight),
+        "process_noise": tuple(TRUE_Q / too_tight), "measurement_noise": tuple(TRUE_R / too_tight),
     }  # fmt: skip
     truth, periods = drive(6, 400)
     states, results = run(model(mode, **small), periods)

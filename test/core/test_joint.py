@@ -71,7 +71,7 @@ def at_end(
     return [Epoch(np.asarray(control), duration_s, np.asarray(z), rows.astype(np.bool_))]
 
 
-def random_periods(rng: np.random.Generator, steps: int, plain: bool = False) -> list[list[Epoch]]:
+def joint_periods(rng: np.random.Generator, steps: int, plain: bool = False) -> list[list[Epoch]]:
     """Around the origin, unless plain with readings in between, reported covariances and gaps."""
     periods = []
     for _ in range(steps):
@@ -95,7 +95,7 @@ def random_periods(rng: np.random.Generator, steps: int, plain: bool = False) ->
 def trained(model: FilterModel, seed: int = 90, steps: int = 40) -> FilterState:
     """Return a state of which every part has moved."""
     state = start_filter(model, np.zeros(3), START_COVARIANCE)
-    for period in random_periods(np.random.default_rng(seed), steps, plain=True):
+    for period in joint_periods(np.random.default_rng(seed), steps, plain=True):
         state, _ = step(model, state, period)
     joint, _ = learned(state)
     assert np.all(joint.log_scale != 0.0)
@@ -123,7 +123,7 @@ def test_disabled_from_the_start_it_is_the_plain_filter_bit_for_bit(
     held = start_filter(holding, np.zeros(3), START_COVARIANCE)
     plain = start_filter(plain_model, np.zeros(3), START_COVARIANCE)
     rng = np.random.default_rng(91)
-    for period in random_periods(rng, 100) + random_periods(rng, 100, plain=True):
+    for period in joint_periods(rng, 100) + joint_periods(rng, 100, plain=True):
         held, result = step(holding, held, period)
         plain, expected = step(plain_model, plain, period)
         for name in ("mean", "covariance", "process_noise", "measurement_noise"):
@@ -146,7 +146,7 @@ def test_disabled_in_an_alarm_it_calms_down(model: FilterModel, holding: FilterM
     assert state.joint is not None
     calm = without_lead(state, model)
     state = state._replace(joint=state.joint._replace(lead=np.full_like(state.joint.lead, 12.0)))
-    for period in random_periods(np.random.default_rng(93), 100):
+    for period in joint_periods(np.random.default_rng(93), 100):
         state, _ = step(holding, state, period)
     np.testing.assert_allclose(state.process_noise, calm.process_noise, rtol=1e-3)
     np.testing.assert_allclose(state.measurement_noise, calm.measurement_noise, rtol=1e-3)
@@ -160,7 +160,7 @@ def test_disabled_later_it_holds_what_it_has_learned(
     before_mean = state.bank.mean[:, JOINT]
     Q, R = state.process_noise.copy(), state.measurement_noise.copy()
     assert not np.any(np.equal(Q, model.process_noise))
-    for period in random_periods(np.random.default_rng(92), 50):
+    for period in joint_periods(np.random.default_rng(92), 50):
         state, result = step(holding, state, period)
         assert state.process_noise.tobytes() == Q.tobytes()
         assert state.measurement_noise.tobytes() == R.tobytes()
@@ -283,7 +283,7 @@ def test_new_pose_keeps_what_was_learned_and_clears_the_forecasts(model: FilterM
 def test_settled_learner_looks_past_the_last_measurement(model: FilterModel, altered: int) -> None:
     """Its evidence does not depend on the last measurement before, but on those before that."""
     before = trained(model)
-    periods = random_periods(np.random.default_rng(93), 4, plain=True)
+    periods = joint_periods(np.random.default_rng(93), 4, plain=True)
     now = periods.pop()
     after, informations = [], []
     for shift in (0.0, 0.4):
@@ -324,7 +324,7 @@ def likelihood_of(star: Scalar, z: float, r: FloatArray) -> FloatArray:
     return -0.5 * (np.log(S) + (nu + 1.0) * np.log(1.0 + e / CONSISTENT_SCALE[1]))
 
 
-def evidence_of(star: Scalar, z: float, r: FloatArray) -> tuple[FloatArray, FloatArray]:
+def scalar_evidence(star: Scalar, z: float, r: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return score and information of heading and yaw; the others cannot be seen."""
     lead, S = z - star.heading, star.variance + r
     parts = [likelihood_of(star, z, r), np.log(S), lead / math.sqrt(S[0])]
@@ -367,7 +367,7 @@ def test_turning_on_the_spot_equals_scalar_filters(model: FilterModel) -> None:
                 odds = math.log(v / (1.0 - v)) - math.log(w / (1.0 - w))
                 assert odds == pytest.approx(apart[0] - apart[1], abs=0.01)
         for k, star in sources.items():
-            score, seen = evidence_of(Scalar(star.heading[1:], star.variance[1:]), z, r[k][1:])
+            score, seen = scalar_evidence(Scalar(star.heading[1:], star.variance[1:]), z, r[k][1:])
             # The compass informs heading and yaw; what is known of the others does not fade.
             N, informed = joint.memory[:, k], np.array([False, True, False, True])
             fade = np.where(informed, np.sqrt(1.0 - 1.0 / N), 1.0)
@@ -421,7 +421,7 @@ def test_published_filter_runs_on_the_noise_in_use(
 ) -> None:
     """Each step of it is one of the plain filter with the noise of the step before."""
     state, plain = trained(model), make_model()
-    for epoch in itertools.chain(*random_periods(np.random.default_rng(96), 20)):
+    for epoch in itertools.chain(*joint_periods(np.random.default_rng(96), 20)):
         period = [epoch]
         same = start_filter(
             plain, state.mean, state.covariance, state.process_noise, state.measurement_noise
@@ -444,7 +444,7 @@ def scaled_run(model: FilterModel, length: float, quarter_turns: int = 0) -> lis
     )
     covariance = START_COVARIANCE * np.outer(unit[:3], unit[:3])
     state, found = start_filter(scaled, np.array([0.0, 0.0, angle]), covariance), []
-    for [epoch] in random_periods(np.random.default_rng(97), 120, plain=True):
+    for [epoch] in joint_periods(np.random.default_rng(97), 120, plain=True):
         z = np.concatenate([turned @ epoch.measurement[:2], epoch.measurement[2:] + angle])
         period = at_end(epoch.control * unit[[0, 2]], z * unit, ALL_ROWS)
         state, result = step(scaled, state, period)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from drives import TRUE_Q, TRUE_R
 from periods import ALL_ROWS
 
 from fnn_ekf_ros.core.adaptation import Adaptation
@@ -25,9 +26,6 @@ from fnn_ekf_ros.core.state import JOINT, FilterModel, FilterState, start_filter
 MakeModel = Callable[..., FilterModel]
 MakeAdaptation = Callable[..., Adaptation]
 
-# The paper's simulation 1, (25): per 375 ms and of the sensors.
-TRUE_Q = np.array([0.02, math.radians(1.0)]) ** 2
-TRUE_R = np.array([0.01, 0.01, 0.018, 0.018])
 COMPASS_AND_POSITION = np.array([True, True, True, False])
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
 STEPS = 600

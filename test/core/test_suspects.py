@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drives import TRUE_Q as Q
+from drives import TRUE_R as R
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.filter import step
@@ -17,7 +19,6 @@ from fnn_ekf_ros.core.results import Epoch, StepResult
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 from fnn_ekf_ros.core.suspects import LARGEST_SUSPECT_LEAD, SUSPECT_COUNT, SUSPECTS, SUSPICION
 
-Q, R = np.array([0.02, 0.0175]) ** 2, np.array([0.01, 0.01, 0.018, 0.018])
 START_P = np.diag([0.01, 0.01, 0.018])
 AVAILABLE = np.array([True, True, True, False])
 FIX, COMPASS = np.array([True, True, False, False]), np.array([False, False, True, False])

@@ -114,7 +114,7 @@ def spoiled(arrivals: Any) -> list[Any]:
     ]
 
 
-def late_fixes(arrivals: Any) -> list[Any]:
+def every_fourth_fix_late(arrivals: Any) -> list[Any]:
     """Return arrivals of which every fourth fix comes 1 s late, with the stamp it has."""
     late, count = [], 0
     for now_ns, event in arrivals:
@@ -141,7 +141,7 @@ def test_a_turned_compass_is_named_and_nobody_else() -> None:
 def test_who_is_suspected_never_touches_the_estimates(
     monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
-    arrivals = late_fixes(spoiled(simulated(11, 30.0).arrivals))
+    arrivals = every_fourth_fix_late(spoiled(simulated(11, 30.0).arrivals))
     watched = feed(make_pipeline(adaptation=mode), arrivals)
     assert any("disagrees" in status.message for status in statuses(watched, "filter"))
     monkeypatch.setattr(history, "recent_after", lambda *_: None)
@@ -156,7 +156,7 @@ def test_late_measurements_are_judged_as_if_they_had_come_in_time() -> None:
     arrivals = [a for a in arrivals if a.now_ns < arrivals[-1].now_ns - 2 * 10**9]
     rest = [a for a in arrivals if isinstance(a.event, WheelCount)][-1]
     told = []
-    for heard in (arrivals, late_fixes(arrivals)):
+    for heard in (arrivals, every_fourth_fix_late(arrivals)):
         pipeline = make_pipeline()
         feed(pipeline, heard)
         for wait_ns in (10**9, 2 * 10**9):  # the last periods, and all that was late

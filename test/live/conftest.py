@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from places import ROOT
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -27,7 +28,6 @@ from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.ros.localizer import LocalizerNode
 from fnn_ekf_ros.ros.runtime import parameters_from_ros
 
-ROOT = Path(__file__).resolve().parents[2]
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PATIENCE_S = 60.0
 PAPERS_ROBOT = [
@@ -233,22 +233,6 @@ def tf2_msgs() -> None:
     # The loader has read LD_LIBRARY_PATH already, but finds what is loaded.
     for library in sorted(libraries.glob("*.so")):
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
-
-
-@pytest.fixture
-def bags() -> Path:
-    return ROOT / "bags"
-
-
-@pytest.fixture
-def recordings() -> Path:
-    """Recordings of real robots that are not part of the project."""
-    folder = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", ROOT.parent / "shared" / "data"))
-    if not folder.is_dir():
-        pytest.skip(
-            f"no recordings of real robots in '{folder}': FNN_EKF_ROS_RECORDINGS names their folder"
-        )
-    return folder
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

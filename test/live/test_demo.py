@@ -11,11 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import demo
 import pytest
+from places import ROOT
 
 pytestmark = pytest.mark.live
-ROOT = Path(demo.__file__).resolve().parents[1]
 
 
 def children(process: int) -> dict[int, str]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import BAGS, RECORDINGS, needs_recordings
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.cli import run_command
@@ -158,6 +159,7 @@ def test_live_equals_replay_with_ticks(
     assert live.rmse_theta == pytest.approx(offline.rmse_theta, rel=0.05)
 
 
+@needs_recordings
 @pytest.mark.parametrize(
     ("name", "truth", "worst_position"),
     [
@@ -169,17 +171,16 @@ def test_live_equals_replay_on_a_real_robot(
     processes: Any,
     ros_environment: None,
     patiently: Callable[..., None],
-    recordings: Path,
     name: str,
     truth: list[str],
     worst_position: float,
 ) -> None:
     bag, folder = processes.folder / "bag", processes.folder
     for file in (f"{name}.csv", f"{name}_fixes.csv"):
-        first, *rows = (recordings / file).read_text().splitlines(keepends=True)
+        first, *rows = (RECORDINGS / file).read_text().splitlines(keepends=True)
         short = [row for row in rows if float(row.split(",")[0]) < LONGEST_S]
         (folder / file).write_text("".join([first, *short]))
-    shutil.copy(recordings / f"{name}.json", folder)
+    shutil.copy(RECORDINGS / f"{name}.json", folder)
     made = processes.run(
         "import-csv", folder / f"{name}.csv", bag, "--fixes", folder / f"{name}_fixes.csv",
         "--geometry", folder / f"{name}.json", "--truth-columns", *truth,
@@ -218,11 +219,10 @@ def test_live_equals_replay_on_a_real_robot(
 def test_wrong_play_arguments_end_it_with_one_line(
     run: Callable[..., Any],
     ros_environment: None,
-    bags: Path,
     arguments: list[str],
     expected: str,
 ) -> None:
-    ended = run("play", *[bags / "round" if word == "BAG" else word for word in arguments])
+    ended = run("play", *[BAGS / "round" if word == "BAG" else word for word in arguments])
     assert ended.code == 1
     lines = ended.err.strip().splitlines()
     assert len(lines) == 1, ended.err

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from localizers import feed, make_parameters, make_pipeline, same_estimates, simulated
+from places import ROOT
 
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.saved_state import SavedState
@@ -28,7 +29,6 @@ from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 
 WHEN = datetime(2026, 11, 22, 10, 0, 0, tzinfo=UTC)
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture

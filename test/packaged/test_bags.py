@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import BAGS
 
 from fnn_ekf_ros.cli import run_command
 from fnn_ekf_ros.recordings.bag_files import BagReader
 
-BAGS = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ("sim1", "sim2", "round")
 TOLERANCE = 1e-9
 

@@ -13,6 +13,7 @@ import yaml
 from diagnostic_tables import message_tables
 from documents import blocks
 from faults.rows import ROWS
+from places import ROOT
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.commands import study_faults, study_rates, study_real
@@ -27,7 +28,6 @@ from fnn_ekf_ros.parameters.schema import build, default_of, fields_of
 from fnn_ekf_ros.study import fault_naming
 from fnn_ekf_ros.study.monte_carlo import STUDIES
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 EVERY_DOCUMENT = pytest.mark.parametrize(
     "path", DOCUMENTS, ids=[str(path.relative_to(ROOT)) for path in DOCUMENTS]

@@ -16,13 +16,13 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+from places import ROOT
 
 from fnn_ekf_ros import cli, messages
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, fields_of
 
-ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 SETS = {"localizer": LocalizerParameters, "fake_robot": FakeRobotParameters}
 STUBBED = {

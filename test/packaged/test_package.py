@@ -14,13 +14,12 @@ from typing import Any
 import license_headers
 import pytest
 from catkin_pkg.package import parse_package
+from places import ROOT
 
 from fnn_ekf_ros import cli
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import fields_of
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def assigned_in_setup(name: str) -> dict[str, Any]:

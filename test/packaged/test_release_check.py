@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 import release_check
+from places import ROOT
 
 from fnn_ekf_ros.errors import FnnEkfError
 
-ROOT = Path(__file__).resolve().parents[2]
 STATING = ("package.xml", "setup.py", "CHANGELOG.rst", "CITATION.cff")
 
 

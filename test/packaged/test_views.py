@@ -7,19 +7,17 @@ import json
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from places import ROOT
 
 from fnn_ekf_ros import cli, messages
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import default_of
 from fnn_ekf_ros.recordings.bag_files import BagReader
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")

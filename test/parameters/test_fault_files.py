@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from places import FAULTS_EXAMPLE
 
 from fnn_ekf_ros.parameters.fault_files import (
     FaultError,
@@ -26,8 +27,6 @@ from fnn_ekf_ros.parameters.faults import (
     StuckWheel,
 )
 from fnn_ekf_ros.parameters.schema import ParameterError, fields_of
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "config" / "faults_example.yaml"
 
 
 def read(folder: Path, text: str) -> Timeline:
@@ -67,7 +66,7 @@ def test_a_timeline_may_lie_in_the_current_folder(
 
 
 def test_the_example_holds_each_fault_once_within_the_usual_length_of_a_run() -> None:
-    faults = read_faults(str(EXAMPLE)).faults
+    faults = read_faults(str(FAULTS_EXAMPLE)).faults
     assert [NAMES[type(fault)] for fault in faults] == list(FAULTS)
     assert max(fault.end for fault in faults) < 300.0
 

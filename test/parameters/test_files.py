@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import CONFIG
 
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.files import (
@@ -20,8 +21,6 @@ from fnn_ekf_ros.parameters.files import (
 )
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, build, fields_of
-
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 @pytest.fixture

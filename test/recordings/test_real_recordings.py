@@ -5,37 +5,30 @@
 
 import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import Succeed
+from places import RECORDINGS, needs_recordings
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.recordings.bag_files import BagReader, Record
 from fnn_ekf_ros.recordings.bag_writer import BagWriter
 
-BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
-DATA = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", BESIDE))
-needs_data = pytest.mark.skipif(
-    not DATA.is_dir(),
-    reason=f"no recordings of real robots in '{DATA}': FNN_EKF_ROS_RECORDINGS names their folder",
-)
-
 
 def imported(succeed: Succeed, folder: Path, name: str, *words: str) -> Path:
     """Import a recording with its fixes."""
     bag = folder / name
     succeed(
-        "import-csv", DATA / f"{name}.csv", bag, "--fixes", DATA / f"{name}_fixes.csv",
-        "--geometry", DATA / f"{name}.json", *words,
+        "import-csv", RECORDINGS / f"{name}.csv", bag, "--fixes", RECORDINGS / f"{name}_fixes.csv",
+        "--geometry", RECORDINGS / f"{name}.json", *words,
     )  # fmt: skip
     return bag
 
 
-@needs_data
+@needs_recordings
 @pytest.mark.slow
 def test_mrclam_with_noise_found_by_hand(tmp_path: Path, succeed: Succeed) -> None:
     bag = imported(succeed, tmp_path, "mrclam1_robot1")
@@ -56,7 +49,7 @@ def test_mrclam_with_noise_found_by_hand(tmp_path: Path, succeed: Succeed) -> No
     assert np.all(np.isfinite(poses))
 
 
-@needs_data
+@needs_recordings
 @pytest.mark.slow
 def test_brenner_with_positions_for_truth(tmp_path: Path, succeed: Succeed) -> None:
     bag = imported(

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from localizers import SECOND_NS, START_NS, as_object, feed, make_pipeline, simulated
+from places import FAULTS_EXAMPLE
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import Message
@@ -41,7 +42,6 @@ QUIET: dict[str, Any] = {
     "slip_std": (0.0, 0.0), "wheel_speed_error": 0.0, "lrf_std": (0.0, 0.0, 0.0),
     "compass_std": 0.0,
 }  # fmt: skip
-EXAMPLE = Path(__file__).resolve().parents[2] / "config" / "faults_example.yaml"
 
 
 class Entry(NamedTuple):
@@ -102,7 +102,9 @@ def test_the_default_rates_send_what_they_always_have(tmp_path: Path) -> None:
     )
     faults = tmp_path / "faults.yaml"
     # Ten times as fast, so that each fault has its turn.
-    faults.write_text(re.sub(r"(start|duration): (\d+)\.0", r"\1: \2e-1", EXAMPLE.read_text()))
+    faults.write_text(
+        re.sub(r"(start|duration): (\d+)\.0", r"\1: \2e-1", FAULTS_EXAMPLE.read_text())
+    )
     assert digest(drive(30.0, read_faults(str(faults)).faults, seed=9)) == "359fa12a196157c3"
 
 

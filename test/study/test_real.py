@@ -6,7 +6,6 @@
 import dataclasses
 import json
 import math
-import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 import pytest
 from commands import Refuse, Succeed
 from localizers import SECOND_NS, Arrival, feed, make_parameters, simulated
+from places import RECORDINGS, needs_recordings
 
 from fnn_ekf_ros.commands import study_real
 from fnn_ekf_ros.core.arrays import Row
@@ -38,12 +38,6 @@ from fnn_ekf_ros.study.real import (
 from fnn_ekf_ros.study.starts import ALL_CELLS, Cell, with_noise_factors
 from fnn_ekf_ros.timeline.events import PoseFix, PoseReset
 
-BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
-DATA = Path(os.environ.get("FNN_EKF_ROS_RECORDINGS", BESIDE))
-needs_data = pytest.mark.skipif(
-    not DATA.is_dir(),
-    reason=f"no recordings of real robots in '{DATA}': FNN_EKF_ROS_RECORDINGS names their folder",
-)
 CELLS = (Cell(1.0, 1.0), Cell(1.0 / 25.0, 25.0), Cell(4.0, 1.0 / 25.0))
 NO_GATE = {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
 FILTERS: dict[str, dict[str, Any]] = {
@@ -347,16 +341,24 @@ def test_the_folder_of_a_bag_from_inside(
         assert parameters.wheel_radius > 0.0
 
 
-@needs_data
+@needs_recordings
 @pytest.mark.slow
 def test_joint_is_near_the_best_fixed_filter_from_every_start_on_brenner(
     tmp_path: Path, succeed: Succeed
 ) -> None:
     name = "brenner_robot4"
     succeed(
-        "import-csv", DATA / f"{name}.csv", tmp_path / name, "--fixes", DATA / f"{name}_fixes.csv",
-        "--geometry", DATA / f"{name}.json", "--truth-columns", "gt_x_aligned", "gt_y_aligned",
-    )  # fmt: skip
+        "import-csv",
+        RECORDINGS / f"{name}.csv",
+        tmp_path / name,
+        "--fixes",
+        RECORDINGS / f"{name}_fixes.csv",
+        "--geometry",
+        RECORDINGS / f"{name}.json",
+        "--truth-columns",
+        "gt_x_aligned",
+        "gt_y_aligned",
+    )
     succeed("study", "real", tmp_path / name, "--out", tmp_path / "out")
     (bag,) = json.loads((tmp_path / "out" / "results.json").read_text())["bags"]
     # Fixes at 4 Hz: 0.0271 when only the last one of a period counted.

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from drives import TRUE_Q, TRUE_R
 from jacobians import motion_jacobian
 
 from fnn_ekf_ros.core.angles import wrap_angle
@@ -24,8 +25,6 @@ from fnn_ekf_ros.study.rivals.shared import matmul, wheel_noise
 from fnn_ekf_ros.study.rivals.variational_bayes import VariationalBayesSettings
 
 ARC = MotionModel.EXACT_ARC
-Q_TRUE = np.array([0.02, math.radians(1.0)]) ** 2
-R_TRUE = np.array([0.01, 0.01, 0.018, 0.018])
 X, Y, COMPASS, LRF_YAW = range(4)
 NO_LRF_YAW = np.array([True, True, True, False])
 
@@ -60,16 +59,16 @@ def drive(
     truth = np.zeros((steps + 1, runs, 3))
     for k in range(steps):
         truth[k + 1] = move(ARC, truth[k].T, u[k].T).mean.T
-    control = u + rng.normal(size=u.shape) * np.sqrt(Q_TRUE)
+    control = u + rng.normal(size=u.shape) * np.sqrt(TRUE_Q)
     z = truth[1:][..., [0, 1, 2, 2]]
-    z = z + rng.normal(size=z.shape) * np.sqrt(R_TRUE)
+    z = z + rng.normal(size=z.shape) * np.sqrt(TRUE_R)
     available = np.broadcast_to(available, z.shape)
     recording = Recording(
         0.375, truth, control, np.where(available, z, np.nan), available,
-        np.tile(Q_TRUE, (steps, 1)), np.tile(R_TRUE, (steps, 1)),
+        np.tile(TRUE_Q, (steps, 1)), np.tile(TRUE_R, (steps, 1)),
     )  # fmt: skip
-    mean = truth[0] + rng.normal(size=(runs, 3)) * np.sqrt(R_TRUE[:3])
-    return recording, Start(mean, np.diag(R_TRUE[:3]), Q_TRUE, R_TRUE)
+    mean = truth[0] + rng.normal(size=(runs, 3)) * np.sqrt(TRUE_R[:3])
+    return recording, Start(mean, np.diag(TRUE_R[:3]), TRUE_Q, TRUE_R)
 
 
 def stand(
@@ -80,7 +79,7 @@ def stand(
     The heading is all but known, so that the filter of x is a scalar linear one. In a share of
     the steps nothing is measured; z is nan there.
     """
-    r, rng = R_TRUE[X], np.random.default_rng(seed)
+    r, rng = TRUE_R[X], np.random.default_rng(seed)
     truth = np.zeros((steps + 1, runs, 3))
     truth[1:, :, 0] = np.cumsum(rng.normal(size=(steps, runs)), axis=0) * math.sqrt(q)
     available = np.zeros((steps, runs, 4), dtype=np.bool_)
@@ -254,7 +253,7 @@ def test_a_row_that_was_never_measured_keeps_its_r(rival: Rival, row: int) -> No
     # All rows but one for 120 steps, then a step without any, then the one alone.
     mask = np.concatenate([np.tile(others, (120, 1, 1)), np.zeros((1, 1, 4)), ~others[None, None]])
     recording, start = drive(122, 1, 12, mask > 0.0)
-    start = start._replace(measurement_noise=3.0 * R_TRUE)
+    start = start._replace(measurement_noise=3.0 * TRUE_R)
     track = rival.run(ARC, recording, start, rival.settings)
     before_last = (np.arange(122) < 121)[:, None, None]
     blind = recording._replace(available=recording.available & before_last)
@@ -263,7 +262,7 @@ def test_a_row_that_was_never_measured_keeps_its_r(rival: Rival, row: int) -> No
     innovation = wrap_angle(recording.measurement[-1, 0, row] - predicted.mean[-1, 0, state])
     S = innovation**2 / track.nis[-1, 0]
     R = S - predicted.covariance[-1, 0, state, state]
-    np.testing.assert_allclose(R, 3.0 * R_TRUE[row], rtol=1e-6)
+    np.testing.assert_allclose(R, 3.0 * TRUE_R[row], rtol=1e-6)
 
 
 @only("iae", "sage-husa")
@@ -283,8 +282,8 @@ def test_wheel_noise_that_no_row_shows_keeps_its_q(
     mask = np.zeros((121, 1, 4), dtype=np.bool_)
     mask[:-1, :, list(rows)] = True
     recording, start = drive(121, 1, 13, mask)
-    track = rival.run(ARC, recording, start._replace(process_noise=3.0 * Q_TRUE), rival.settings)
-    kept = np.isclose(last_process_noise(recording, track)[0], 3.0 * Q_TRUE, rtol=1e-6)
+    track = rival.run(ARC, recording, start._replace(process_noise=3.0 * TRUE_Q), rival.settings)
+    kept = np.isclose(last_process_noise(recording, track)[0], 3.0 * TRUE_Q, rtol=1e-6)
     np.testing.assert_array_equal(kept, np.logical_not(taught))
 
 
@@ -298,7 +297,7 @@ def test_innovation_based_takes_the_gain_of_the_rows_that_were_measured() -> Non
     x0 = np.stack([start.mean[0], track.mean[0, 0]])
     motion = move(ARC, x0.T, recording.control[:2, 0].T)
     r = recording.measurement[:2, 0, :2] - motion.mean[:2].T
-    H, R = np.eye(3)[:2], np.diag(R_TRUE[:2])
+    H, R = np.eye(3)[:2], np.diag(TRUE_R[:2])
     P_minus = np.linalg.inv(np.linalg.inv(track.covariance[1, 0]) - H.T @ np.linalg.inv(R) @ H)
     K = P_minus @ H.T @ np.linalg.inv(H @ P_minus @ H.T + R)
     back = np.linalg.pinv(motion.noise_jacobian()[..., 1])
@@ -312,7 +311,7 @@ def test_a_batch_of_starts_equals_one_by_one(rival: Rival) -> None:
     mask = np.random.default_rng(14).random((60, 3, 4)) < 0.8
     recording, start = drive(60, 3, 15, mask)
     wrong = np.array([0.04, 25.0])[:, None, None]
-    both = start._replace(process_noise=wrong * Q_TRUE, measurement_noise=R_TRUE / wrong)
+    both = start._replace(process_noise=wrong * TRUE_Q, measurement_noise=TRUE_R / wrong)
     together = rival.run(ARC, recording, both, rival.settings)
     assert together.mean.shape == (60, 2, 3, 3)
     assert together.covariance.shape == (60, 2, 3, 3, 3)
@@ -324,7 +323,7 @@ def test_a_batch_of_starts_equals_one_by_one(rival: Rival) -> None:
             one = rival.run(
                 ARC,
                 recording._replace(**cut),
-                Start(start.mean[j : j + 1], start.covariance, scale * Q_TRUE, R_TRUE / scale),
+                Start(start.mean[j : j + 1], start.covariance, scale * TRUE_Q, TRUE_R / scale),
                 rival.settings,
             )
             for part, whole in zip(one, together, strict=True):
@@ -334,7 +333,7 @@ def test_a_batch_of_starts_equals_one_by_one(rival: Rival) -> None:
 def test_robots_do_not_depend_on_the_block_they_are_in(monkeypatch: pytest.MonkeyPatch) -> None:
     recording, start = drive(30, 5, 24)
     wrong = np.array([0.04, 25.0])[:, None, None]
-    both = start._replace(process_noise=wrong * Q_TRUE)  # one Q for all runs
+    both = start._replace(process_noise=wrong * TRUE_Q)  # one Q for all runs
     tracks = []
     for at_once in (1, 500, 150_000):
         monkeypatch.setattr(blocks, "NUMBERS_AT_ONCE", at_once)
@@ -350,7 +349,7 @@ def test_covariances_stay_positive_definite_from_any_start(rival: Rival) -> None
     recording, start = drive(300, 2, 17, mask)
     scales = np.array([0.04, 1.0, 25.0])
     q, k = (grid.reshape(-1, 1, 1) for grid in np.meshgrid(scales, scales))
-    start = start._replace(process_noise=q * Q_TRUE, measurement_noise=k * R_TRUE)
+    start = start._replace(process_noise=q * TRUE_Q, measurement_noise=k * TRUE_R)
     track = rival.run(ARC, recording, start, rival.settings)
     assert all(np.all(np.isfinite(part)) for part in track)
     np.testing.assert_array_equal(track.covariance, track.covariance.swapaxes(-1, -2))
@@ -361,7 +360,7 @@ def test_covariances_stay_positive_definite_from_any_start(rival: Rival) -> None
 def test_process_noise_is_in_proportion_to_the_period(rival: Rival) -> None:
     recording, start = drive(60, 2, 18)
     slow = rival.run(ARC, recording._replace(period_s=0.75), start, rival.settings)
-    doubled = start._replace(process_noise=2.0 * Q_TRUE)
+    doubled = start._replace(process_noise=2.0 * TRUE_Q)
     for one, other in zip(slow, rival.run(ARC, recording, doubled, rival.settings), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
@@ -386,7 +385,7 @@ def test_a_lost_pose_is_as_uncertain_as_double_precision_can_hold(rival: Rival) 
 @pytest.mark.slow
 def test_a_far_too_large_r_is_mended(rival: Rival) -> None:
     recording, start = drive(500, 8, 20)
-    start = start._replace(measurement_noise=25.0 * R_TRUE)
+    start = start._replace(measurement_noise=25.0 * TRUE_R)
     fixed = rmse(recording, multiple_model.run(ARC, recording, start, ALONE))
     adapted = rmse(recording, rival.run(ARC, recording, start, rival.settings))
     assert np.all(adapted[:2] < 0.85 * fixed[:2])  # IAE leaves the heading's error

@@ -4,11 +4,12 @@
 """The tables of messages in docs/diagnostics.md."""
 
 import re
-from pathlib import Path
+
+from places import DOCS
 
 from fnn_ekf_ros.timeline.events import Level
 
-DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "diagnostics.md"
+DOCUMENT = DOCS / "diagnostics.md"
 
 
 def message_tables() -> dict[str, dict[str, set[Level]]]:

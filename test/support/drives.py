@@ -15,7 +15,12 @@ from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S, STEP_INTERVAL
 from fnn_ekf_ros.core.results import Epoch, Shown
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 
-TRUE_Q, TRUE_R = np.array([4e-4, 3.046e-4]), np.array([0.01, 0.01, 0.018, 0.018])
+TRUE_Q = np.array([0.02, math.radians(1.0)]) ** 2
+"""The paper's simulation 1, (25), per 375 ms (m^2, rad^2)."""
+TRUE_R = np.array([0.01, 0.01, 0.018, 0.018])
+"""Variances of its sensors by row (m^2, m^2, rad^2, rad^2)."""
+UNEVEN_Q, UNEVEN_R = np.array([4e-4, 3e-4]), np.array([0.01, 0.012, 0.018, 0.02])
+"""Noise that is another one in every row: rows that are mixed up show."""
 
 
 class Drive(NamedTuple):

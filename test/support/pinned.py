@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from places import BAGS
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.localizer.localizer import Localizer
@@ -61,7 +62,6 @@ from fnn_ekf_ros.timeline.events import (
 )
 
 FILE = Path(__file__).with_name("pinned.npz")
-BAGS = Path(__file__).resolve().parents[2] / "bags"
 TOLERANCE = 1e-9
 LEAD_DIGIT = 0.1
 """Diagnostics show the suspects' leads to one digit after the point [nats]."""
