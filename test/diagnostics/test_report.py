@@ -14,13 +14,7 @@ from localizers import Arrival, as_object, feed, make_pipeline, simulated
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.joint_state import HYPOTHESES, JointReport
 from fnn_ekf_ros.diagnostics.noise_words import noise_in_words
-from fnn_ekf_ros.timeline.events import (
-    CompassYaw,
-    Level,
-    Output,
-    PoseFix,
-    Sensor,
-)
+from fnn_ekf_ros.timeline.events import CompassYaw, Level, Output, PoseFix, Sensor
 
 ESTIMATED = "estimated noise (std against the configured one)"
 JOINT_KEYS = {ESTIMATED, "reason", "weights"}

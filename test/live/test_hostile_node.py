@@ -19,7 +19,8 @@ import pytest
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from hostile_messages import ATTACKS, COMMANDS, SENDING, Command, Recipe, Segment, Sent, stream
+from hostile_attacks import ATTACKS
+from hostile_messages import COMMANDS, SENDING, Command, Recipe, Segment, Sent, stream
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor

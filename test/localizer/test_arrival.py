@@ -23,14 +23,7 @@ from localizers import (
     time_values,
 )
 
-from fnn_ekf_ros.timeline.events import (
-    CompassYaw,
-    Event,
-    PoseFix,
-    PoseReset,
-    Wheel,
-    WheelCount,
-)
+from fnn_ekf_ros.timeline.events import CompassYaw, Event, PoseFix, PoseReset, Wheel, WheelCount
 
 POSE = {"initial_pose": [0.1, -0.1, 0.2], "initial_pose_std": [0.2, 0.2, 0.1]}
 

@@ -20,9 +20,7 @@ from localizers import (
     time_values,
 )
 
-from fnn_ekf_ros.timeline.events import (
-    WheelCount,
-)
+from fnn_ekf_ros.timeline.events import WheelCount
 
 
 @pytest.mark.parametrize("step_s", [0.3, 1.5, 30.0, 300.0])

@@ -24,11 +24,7 @@ from localizers import (
 )
 
 from fnn_ekf_ros.localizer import history
-from fnn_ekf_ros.timeline.events import (
-    Level,
-    PoseFix,
-    WheelCount,
-)
+from fnn_ekf_ros.timeline.events import Level, PoseFix, WheelCount
 from fnn_ekf_ros.timeline.inputs import InputBuffer, PeriodInputs
 from fnn_ekf_ros.timeline.period import without_measurements
 

@@ -17,16 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hostile_messages import (
-    COMMANDS,
-    EVERYTHING,
-    Command,
-    Recipe,
-    Segment,
-    Sent,
-    Truth,
-    stream,
-)
+from hostile_messages import COMMANDS, EVERYTHING, Command, Recipe, Segment, Sent, Truth, stream
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from localizers import GEOMETRY, as_object

@@ -10,15 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import (
-    PERIOD_NS,
-    Arrival,
-    estimates,
-    feed,
-    make_pipeline,
-    same_estimates,
-    simulated,
-)
+from localizers import PERIOD_NS, Arrival, estimates, feed, make_pipeline, same_estimates, simulated
 from textbook_ekf import textbook_step
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row

@@ -9,12 +9,7 @@ from pathlib import Path
 import pytest
 from localizers import make_parameters
 
-from fnn_ekf_ros.membership.files import (
-    PACKAGED,
-    MembershipError,
-    networks_for,
-    read_membership,
-)
+from fnn_ekf_ros.membership.files import PACKAGED, MembershipError, networks_for, read_membership
 
 PUBLISHED = (resources.files("fnn_ekf_ros.membership") / "published.yaml").read_text("utf-8")
 

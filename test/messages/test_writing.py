@@ -13,13 +13,7 @@ from localizers import Arrival, as_object, feed, make_parameters, make_pipeline,
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import NOISE_FIELDS
-from fnn_ekf_ros.timeline.events import (
-    CompassYaw,
-    Estimate,
-    Level,
-    PoseFix,
-    Status,
-)
+from fnn_ekf_ros.timeline.events import CompassYaw, Estimate, Level, PoseFix, Status
 
 STAMP_NS = 1_700_000_000_987_654_321
 

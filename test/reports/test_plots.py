@@ -13,13 +13,7 @@ import pytest
 from fnn_ekf_ros.recordings.scoring import Trajectory
 
 pytest.importorskip("matplotlib")
-from fnn_ekf_ros.reports.plots import (
-    HIGHLIGHT_COLOR,
-    Run,
-    band_polygons,
-    draw_tracks,
-    plot_tracks,
-)
+from fnn_ekf_ros.reports.plots import HIGHLIGHT_COLOR, Run, band_polygons, draw_tracks, plot_tracks
 
 STD = 0.05
 CLAIM = "2 sigma claimed by hero"

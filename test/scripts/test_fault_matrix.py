@@ -9,15 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faults.matrix import (
-    Said,
-    back_after,
-    fault_effect,
-    missing_odom,
-    moved,
-    news,
-    window,
-)
+from faults.matrix import Said, back_after, fault_effect, missing_odom, moved, news, window
 from faults.scenarios import FaultScenario, Remark, Run, read_run, robot_times
 from faults.tables import document, draw
 

@@ -7,16 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_drives import (
-    LASTING,
-    START_NS,
-    TYPESTORE,
-    drive,
-    off,
-    on,
-    plain,
-    same,
-)
+from fault_drives import LASTING, START_NS, TYPESTORE, drive, off, on, plain, same
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -7,16 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from fault_drives import (
-    QUIET,
-    Heard,
-    counts,
-    drive,
-    off,
-    on,
-    pose,
-    same,
-)
+from fault_drives import QUIET, Heard, counts, drive, off, on, pose, same
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray

@@ -16,9 +16,7 @@ from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.parameters.faults import (
-    Fault,
-)
+from fnn_ekf_ros.parameters.faults import Fault
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.simulation.delivery import Delivery, Sent
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot

@@ -10,10 +10,11 @@ recipe's seed, so that a recipe of one line stands for thousands of messages.
 
 import copy
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
+from hostile_attacks import ATTACKS, Random, covariance_from, log_uniform, pick, time_fields
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import Message
@@ -31,8 +32,6 @@ LATEST_NS = (2**31 - 100) * 10**9
 """A little before the end of what a stamp can hold [ns]."""
 MOST_HELD = 400
 """Largest number of messages that are delayed at a time."""
-
-Random = np.random.Generator
 
 
 class Segment(NamedTuple):
@@ -84,185 +83,11 @@ class Truth(NamedTuple):
     pose: np.ndarray
 
 
-# Numbers ---------------------------------------------------------------------------------------
-
-_MAX = float(np.finfo(np.float64).max)
-EXTREME = (
-    math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, -5e-324, 1e-310, 1e-160, 1e-12, -1e-9, 1e-4,
-    0.5, -1.0, 1.0, math.pi, -math.pi, math.nextafter(math.pi, 4.0), 1e3, -1e3, 1e6, 99_999_999.9,
-    -99_999_999.9, 1e8, 1e15, 2.0**53 + 2.0, 1e17, -1e154, 1e155, 1e300, _MAX, -_MAX,
-)  # fmt: skip
-INT32 = (-(2**31), -(2**31) + 1, -65536, -1, 0, 1, 127, 128, 255, 65535, 2**31 - 2, 2**31 - 1)
-FRAMES = (
-    "",
-    "odom",
-    "/map",
-    "map ",
-    "MAP",
-    "x" * 5000,
-    "a\nb",
-    "\x00",
-    "карта",
-    "\ufffd\U0001f916",
-)
-
-
-def _pick(rng: Random, values: Any) -> Any:
-    return values[int(rng.integers(len(values)))]
-
-
-def _log_uniform(rng: Random, low: float, high: float, size: int) -> np.ndarray:
-    return np.exp(rng.uniform(math.log(low), math.log(high), size))
-
-
-# Attacks on one message ------------------------------------------------------------------------
-
-
-def _numbers(rng: Random, message: Message) -> None:
-    """Replace some numbers with extreme ones."""
-    for name, value in message.fields.items():
-        if isinstance(value, Message):
-            _numbers(rng, value)
-        elif isinstance(value, float):
-            if rng.random() < 0.3:
-                message.fields[name] = _pick(rng, EXTREME)
-        elif isinstance(value, np.ndarray) and value.size:
-            hit = rng.random(value.shape) < 0.1
-            value[hit] = rng.choice(EXTREME, int(np.sum(hit)))
-
-
-def _orientation_of(message: Message) -> dict[str, Any] | None:
-    if "pose" in message.fields:
-        fields: dict[str, Any] = message.fields["pose"].fields["pose"].fields["orientation"].fields
-        return fields
-    return message.fields["orientation"].fields if "orientation" in message.fields else None
-
-
-def _quaternions(rng: Random, message: Message) -> None:
-    """Turn it anywhere in space, and off unit length."""
-    fields = _orientation_of(message)
-    if fields is None:
-        return
-    q = rng.normal(size=4)
-    q /= np.linalg.norm(q)
-    q *= _pick(rng, (0.0, 1e-200, 0.89, 0.91, 1.0, 1.0, 1.0, 1.09, 1.11, 1e160, math.nan, math.inf))
-    with np.errstate(invalid="ignore"):
-        fields.update(zip("xyzw", (float(value) for value in q), strict=True))
-
-
-def _covariances(rng: Random, message: Message) -> None:
-    """Usable covariances from tiny to huge, and others."""
-    if "pose" in message.fields:
-        message.fields["pose"].fields["covariance"] = _covariance(rng).ravel()
-    elif "orientation_covariance" in message.fields:
-        first = _pick(rng, (-1.0, 0.0, math.nan, 1e300))
-        message.fields["orientation_covariance"] = np.array([first, *[0.0] * 8])
-
-
-def _covariance(rng: Random) -> np.ndarray:
-    low, high = _pick(rng, ((1e-4, 1e3), (1e-4, 2e-4), (500.0, 1e3), (1e-2, 1.0), (1e-9, 1e9)))
-    std = _log_uniform(rng, low, high, 6)
-    directions = rng.normal(size=(6, _pick(rng, (1, 2, 6, 40))))
-    correlation = directions @ directions.T
-    scale = np.sqrt(np.diag(correlation))
-    margin = _pick(rng, (0.0, 1e-13, 1e-7, 2e-6, 1e-2))
-    correlation = (1.0 - margin) * correlation / np.outer(scale, scale) + margin * np.eye(6)
-    covariance = correlation * np.outer(std, std)
-    how = int(rng.integers(9))
-    if how == 0:
-        covariance[:] = 0.0
-    elif how == 1:
-        covariance[_pick(rng, (0, 1, 5)), _pick(rng, (0, 1, 5))] *= -1.0
-    elif how == 2:
-        covariance[0, 1] *= 1.0 + _pick(rng, (1e-9, 1e-5, 1.0))
-    elif how == 3:
-        covariance[_pick(rng, (0, 1, 5)), _pick(rng, (0, 1, 5))] = _pick(rng, EXTREME)
-    return covariance
-
-
-def _frames(rng: Random, message: Message) -> None:
-    """Name another frame, or none."""
-    if "header" in message.fields:
-        message.fields["header"].fields["frame_id"] = _pick(rng, FRAMES)
-
-
-def _joints(rng: Random, message: Message) -> None:
-    """Leave joints out, name them twice, give too few or too many positions."""
-    if "position" not in message.fields:
-        return
-    fields = message.fields
-    how = int(rng.integers(6))
-    if how == 0:
-        fields["name"] = fields["name"][: int(rng.integers(3))]
-    elif how == 1:
-        fields["name"] = ["", "arm", *fields["name"], *fields["name"]]
-    elif how == 2:
-        fields["position"] = fields["position"][: int(rng.integers(2))]
-    elif how == 3:
-        fields["position"] = np.append(fields["position"], _pick(rng, EXTREME))
-    elif how == 4:
-        fields["position"] = np.array([_pick(rng, EXTREME), _pick(rng, EXTREME)])
-    else:
-        fields["name"], fields["position"] = fields["name"][::-1], np.empty(0)
-
-
-def _counts(rng: Random, message: Message) -> None:
-    """Jumping counters and wheels."""
-    if "data" in message.fields:
-        count = _pick(rng, INT32) if rng.random() < 0.5 else int(rng.integers(-(2**31), 2**31))
-        message.fields["data"] = count
-    elif "position" in message.fields:
-        jump = rng.normal(size=len(message.fields["position"])) * 10.0 ** rng.uniform(-2.0, 7.0)
-        message.fields["position"] = message.fields["position"] + jump
-
-
-def _stamps(rng: Random, message: Message) -> None:
-    """Stamps of 0, of other times, and of no time at all."""
-    if "header" not in message.fields:
-        return
-    stamp = message.fields["header"].fields["stamp"].fields
-    how = int(rng.integers(5))
-    if how == 0:
-        stamp.update(sec=0, nanosec=0)
-    elif how == 1:
-        stamp.update(sec=_pick(rng, INT32), nanosec=_pick(rng, (0, 999_999_999, 2**32 - 1)))
-    else:
-        lead_s = (rng.uniform(-12.0, 1.1), rng.uniform(-0.4, 0.1), rng.normal() * 1e6)[how - 2]
-        stamp_ns = stamp["sec"] * 10**9 + stamp["nanosec"] + round(lead_s * 1e9)
-        stamp.update(_time(stamp_ns))
-
-
-def _places(rng: Random, message: Message) -> None:
-    """Readings that look right but are of another place."""
-    if "pose" in message.fields:
-        position = message.fields["pose"].fields["pose"].fields["position"].fields
-        far = 10.0 ** rng.uniform(-1.0, 7.9)
-        position["x"] += float(rng.normal() * far)
-        position["y"] += float(rng.normal() * far)
-    fields = _orientation_of(message)
-    if fields is not None:
-        fields.update(messages.quaternion(float(rng.uniform(-math.pi, math.pi))).fields)
-
-
-ATTACKS: dict[str, Callable[[Random, Message], None]] = {
-    "numbers": _numbers,
-    "quaternions": _quaternions,
-    "covariances": _covariances,
-    "frames": _frames,
-    "joints": _joints,
-    "counts": _counts,
-    "stamps": _stamps,
-    "places": _places,
-}
-"""What happens to one message."""
 SENDING = ("lost", "twice", "late", "burst", "silence", "clock", "kidnapped", "lying")
 """What happens to the sending of messages, to the clock, to the robot, and to all its sensors."""
 COMMANDS = ("reset", "hold", "learn", "change")
 """What is asked of the localizer meanwhile."""
 EVERYTHING = (*ATTACKS, *SENDING, *COMMANDS)
-
-
-# The robot -------------------------------------------------------------------------------------
 
 
 class Robot:
@@ -295,9 +120,9 @@ class Robot:
         rng = self._rng
         self._offset = np.zeros(3)
         if "lying" in attacks:
-            self._offset = rng.normal(size=3) * _log_uniform(rng, 0.01, 1e3, 1)
+            self._offset = rng.normal(size=3) * log_uniform(rng, 0.01, 1e3, 1)
         if "kidnapped" in attacks:
-            self.pose = self.pose + rng.normal(size=3) * _log_uniform(rng, 0.1, 1e6, 1)
+            self.pose = self.pose + rng.normal(size=3) * log_uniform(rng, 0.1, 1e6, 1)
 
     def speak(self, now_ns: int, parameters: LocalizerParameters) -> list[tuple[str, Message]]:
         """Return what is sent now."""
@@ -329,14 +154,8 @@ def wrapped(count: int, bits: int) -> int:
     return (count + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
 
 
-def _time(stamp_ns: int) -> dict[str, int]:
-    """Return the fields of a stamp, held within what the message can hold."""
-    sec, nanosec = divmod(stamp_ns, 10**9)
-    return {"sec": min(max(sec, -(2**31)), 2**31 - 1), "nanosec": nanosec}
-
-
 def _header(stamp_ns: int, frame: str) -> Message:
-    stamp = Message("builtin_interfaces/msg/Time", _time(stamp_ns))
+    stamp = Message("builtin_interfaces/msg/Time", time_fields(stamp_ns))
     return Message("std_msgs/msg/Header", {"stamp": stamp, "frame_id": frame})
 
 
@@ -380,9 +199,6 @@ def joint_states(stamp_ns: int, names: list[str], radians: np.ndarray) -> Messag
     )
 
 
-# The stream ------------------------------------------------------------------------------------
-
-
 def stream(recipe: Recipe, parameters: LocalizerParameters) -> Iterator[Sent | Command | Truth]:
     """Grow a recipe into what arrives, in order of arrival.
 
@@ -404,7 +220,7 @@ def stream(recipe: Recipe, parameters: LocalizerParameters) -> Iterator[Sent | C
             robot.step()
             clock.step(segment.attacks)
             if commands and rng.random() < 0.02:
-                yield Command(_pick(rng, commands), int(rng.integers(1000)))
+                yield Command(pick(rng, commands), int(rng.integers(1000)))
             if not segment.attacks:
                 yield Truth(clock.now_ns, robot.pose)
             for sent in _spoken(rng, robot, clock.now_ns, segment, parameters):
@@ -433,7 +249,7 @@ class _Clock:
         if "silence" in attacks and rng.random() < 0.01:
             self.now_ns += round(rng.exponential(5.0) * 1e9)
         if "clock" in attacks and rng.random() < 0.02:
-            jump_ns = _pick(rng, (*self._jumps_ns, 1 - self.now_ns, BEGIN_NS - self.now_ns))
+            jump_ns = pick(rng, (*self._jumps_ns, 1 - self.now_ns, BEGIN_NS - self.now_ns))
             # Never before 0, where the node does not listen.
             self.now_ns = min(max(self.now_ns + jump_ns, 1), LATEST_NS)
 
@@ -453,7 +269,7 @@ def _spoken(
     said = robot.speak(now_ns, parameters)
     if segment.attacks and rng.random() < 0.02 * segment.share:
         pose = robot.pose + rng.normal(size=3)
-        covariance = _covariance(rng) if rng.random() < 0.5 else np.zeros((6, 6))
+        covariance = covariance_from(rng) if rng.random() < 0.5 else np.zeros((6, 6))
         said.append((messages.INITIAL_POSE, pose_message(now_ns, pose, covariance)))
     attacks = [ATTACKS[name] for name in segment.attacks if name in ATTACKS]
     for topic, message in said:
