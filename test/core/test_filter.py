@@ -84,7 +84,7 @@ def test_batch_equals_single_filters(
     together = start_filter(filter_model, mean, START_COVARIANCE)
     every = list(np.ndindex(*batch))
     alone = {i: start_filter(filter_model, mean[:, *i], START_COVARIANCE) for i in every}
-    for period in random_periods(rng, 40, batch):
+    for period in random_periods(rng, 20, batch):
         together, result = step(filter_model, together, period)
         for i in every:
             mine = [one_of_batch(epoch, i) for epoch in period]

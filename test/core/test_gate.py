@@ -224,8 +224,11 @@ def test_outliers_have_the_effect_of_missing_readings(
 
 
 @pytest.mark.parametrize(("by", "rows"), [FIX_OUTLIER, COMPASS_OUTLIER])
-@pytest.mark.parametrize("at", [[80], [60, 62], [60, 63], [60, 67]], ids=str)
-@pytest.mark.parametrize("seed", [3, 13])
+@pytest.mark.parametrize(
+    ("seed", "at"),
+    [(3, [80]), (13, [60, 62]), (3, [60, 63]), (13, [60, 67])],
+    ids=str,
+)
 @pytest.mark.slow
 def test_in_mode_joint_outliers_have_the_effect_of_missing_readings_but_for_the_memory(
     model: Callable[..., FilterModel], by: list[float], rows: list[int], at: list[int], seed: int
