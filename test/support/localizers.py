@@ -4,7 +4,8 @@
 """Localizers of the paper's robot, what they hear, and views of what they give."""
 
 import functools
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.simulation.delivery import STEP_NS, Sent
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 from fnn_ekf_ros.timeline.events import Event, Output, Rejected, Status
 
@@ -81,24 +83,38 @@ def as_object(field: Any) -> Any:
     return field
 
 
+class _Drive:
+    """What a simulated robot sends: kept, and driven on as far as somebody asks."""
+
+    def __init__(self, seed: int, **robot: Any) -> None:
+        self._fake = FakeRobot(build(FakeRobotParameters, {"seed": seed, **robot}), START_NS)
+        self._sent: list[tuple[int, Sent]] = []
+
+    def until(self, end_ns: int) -> Iterator[tuple[int, Sent]]:
+        """Return the messages of the steps that begin before a time, each with its step's end."""
+        while self._fake.stamp_ns < end_ns:
+            sent = self._fake.step()
+            self._sent += [(self._fake.stamp_ns, each) for each in sent]
+        return itertools.takewhile(lambda each: each[0] - STEP_NS < end_ns, self._sent)
+
+
+_drive = functools.cache(_Drive)
+
+
 @functools.cache
 def simulated(seed: int, seconds: float, source: str = "ticks", **robot: Any) -> Run:
     """Return a simulated run, as a localizer with ticks or joint_states would read it; kept."""
     listening = make_parameters(encoder_source=source)
     topics = messages.input_topics(listening)
-    fake = FakeRobot(build(FakeRobotParameters, {"seed": seed, **robot}), START_NS)
     arrivals: list[Arrival] = []
     truth: dict[int, FloatArray] = {}
-    while fake.stamp_ns < START_NS + seconds * 1e9:
-        for sent in fake.step():
-            if sent.topic == messages.GROUND_TRUTH:
-                truth[fake.stamp_ns] = messages.planar_pose(as_object(sent.message))
-            elif sent.topic in topics:
-                events = messages.read_input(
-                    sent.topic, as_object(sent.message), fake.stamp_ns, listening
-                )
-                assert not isinstance(events, Rejected)
-                arrivals += [Arrival(fake.stamp_ns, event) for event in events]
+    for now_ns, sent in _drive(seed, **robot).until(START_NS + round(seconds * 1e9)):
+        if sent.topic == messages.GROUND_TRUTH:
+            truth[now_ns] = messages.planar_pose(as_object(sent.message))
+        elif sent.topic in topics:
+            events = messages.read_input(sent.topic, as_object(sent.message), now_ns, listening)
+            assert not isinstance(events, Rejected)
+            arrivals += [Arrival(now_ns, event) for event in events]
     return Run(tuple(arrivals), truth)
 
 
