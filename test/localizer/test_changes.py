@@ -31,7 +31,7 @@ def noise(outputs: list[Output]) -> np.ndarray[Any, Any]:
 @pytest.mark.parametrize("after", MODES)
 @pytest.mark.slow
 def test_from_any_mode_to_any_other(before: str, after: str) -> None:
-    arrivals = simulated(30, 60.0).arrivals
+    arrivals = simulated(30, 40.0).arrivals
     middle = len(arrivals) // 2
     pipeline = make_pipeline(adaptation=before, innovation_window=6)
     first = noise(feed(pipeline, arrivals[:middle]))
