@@ -16,15 +16,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from hostile_attacks import ATTACKS
 from hostile_messages import COMMANDS, SENDING, Command, Recipe, Segment, Sent, stream
 from nav_msgs.msg import Odometry
+from own_nodes import OwnNode
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -48,7 +46,7 @@ UNSENDABLE = (AssertionError, OverflowError, TypeError, ValueError)
 """What rclpy refuses to build or to send."""
 
 
-class Sender:
+class Sender(OwnNode):
     """A node that sends streams and listens to odom.
 
     Attributes:
@@ -56,10 +54,8 @@ class Sender:
         odom: how many arrived, all of them sound.
     """
 
-    def __init__(self, domain_context: rclpy.Context, patiently: Callable[..., None]) -> None:
-        self.node = Node("sender", context=domain_context)
-        self.executor = SingleThreadedExecutor(context=domain_context)
-        self.executor.add_node(self.node)
+    def __init__(self, patiently: Callable[..., None]) -> None:
+        super().__init__("sender")
         self._patiently = patiently
         qos = QoSProfile(depth=2 * CHUNK)
         self._publishers = {
@@ -89,9 +85,6 @@ class Sender:
             "the localizer",
         )
         self.call(GetParameters, "get_parameters", GetParameters.Request(names=["period"]))
-
-    def spin(self) -> None:
-        self.executor.spin_once(timeout_sec=0.01)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         """Call a service of the localizer; it answers as long as it lives."""
@@ -173,19 +166,12 @@ class Sender:
         for status in array.status:
             self.statuses[status.name] = {entry.key: entry.value for entry in status.values}
 
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-
 
 @pytest.fixture
 def sender(ros_environment: None, patiently: Callable[..., None]) -> Iterator[Sender]:
-    context = rclpy.Context()
-    context.init()
-    opened = Sender(context, patiently)
+    opened = Sender(patiently)
     yield opened
     opened.close()
-    context.try_shutdown()
 
 
 def resident_bytes(pid: int) -> int:

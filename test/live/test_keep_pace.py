@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from own_nodes import OwnNode
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
@@ -27,20 +25,16 @@ S = 10**9
 LEAD_NS = 6 * S // 10
 
 
-class SlowNode:
+class SlowNode(OwnNode):
     """Hears what is played, and publishes odom when the test says so."""
 
     def __init__(self, reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE) -> None:
-        self._context = rclpy.Context()
-        self._context.init()
-        self._node = Node("slow", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._odom = self._node.create_publisher(
+        super().__init__("slow")
+        self._odom = self.node.create_publisher(
             Odometry, "/odom", QoSProfile(depth=10, reliability=reliability)
         )
-        self._node.create_subscription(Clock, "/clock", self._hear_clock, 10000)
-        self._node.create_subscription(Imu, "/compass", self._hear_compass, 10000)
+        self.node.create_subscription(Clock, "/clock", self._hear_clock, 10000)
+        self.node.create_subscription(Imu, "/compass", self._hear_compass, 10000)
         self.clock_ns = self.repeated = 0
         self.compass_ns: list[int] = []
         self.follows = False
@@ -49,9 +43,6 @@ class SlowNode:
         message = Odometry()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, S)
         self._odom.publish(message)
-
-    def spin(self) -> None:
-        self._executor.spin_once(timeout_sec=0.02)
 
     def held(self) -> bool:
         """Spin; return whether the clock stands, and goes on being told."""
@@ -67,11 +58,6 @@ class SlowNode:
 
     def _hear_compass(self, message: Imu) -> None:
         self.compass_ns.append(messages.stamp_ns(message))
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
 
 
 @pytest.fixture

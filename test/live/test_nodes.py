@@ -13,14 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from localizers import PERIOD_NS
 from nav_msgs.msg import Odometry
+from own_nodes import OwnNode
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
@@ -42,24 +40,17 @@ GEOMETRY = [
 LOCALIZER = ["--ros-args", *GEOMETRY, "-p", "use_sim_time:=true"]
 
 
-class Listener:
-    """A node of the test's own."""
+class Listener(OwnNode):
+    """Collects messages and calls services."""
 
     def __init__(self) -> None:
-        self.context = rclpy.Context()
-        self.context.init()
-        self.node = Node("listener", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("listener")
 
     def collect(self, kind: Any, topic: str) -> list[Any]:
         """Return a list that fills with a topic's messages."""
         received: list[Any] = []
         self.node.create_subscription(kind, topic, received.append, 1000)
         return received
-
-    def spin(self) -> None:
-        self.executor.spin_once(timeout_sec=0.05)
 
     def call(self, kind: Any, name: str, request: Any, patiently: Callable[..., None]) -> Any:
         """Call a service and return its response."""
@@ -76,11 +67,6 @@ class Listener:
 
         patiently(answered, f"answer of {name}")
         return next(future.result() for _, future in asked if future.done())
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 @pytest.fixture

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from own_nodes import OwnNode
 from rosgraph_msgs.msg import Clock
 
 from fnn_ekf_ros import messages
@@ -58,7 +56,7 @@ def numbers(bag: Path) -> dict[int, tuple[float, ...]]:
     return found
 
 
-class PatientClock:
+class PatientClock(OwnNode):
     """A /clock of the test's own, which waits for the slowest node, however busy the machine is.
 
     Args:
@@ -72,28 +70,24 @@ class PatientClock:
     """Diagnostics are published once a second, of a period that ended `output_delay` before."""
 
     def __init__(self, recorder: Recorder) -> None:
+        super().__init__("clock")
         self._recorder = recorder
-        self._context = rclpy.Context()
-        self._context.init()
-        self._node = Node("clock", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._publisher = self._node.create_publisher(Clock, "/clock", 10)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 1000)
+        self._publisher = self.node.create_publisher(Clock, "/clock", 10)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 1000)
         self.now_ns = self._health_ns = 0
         self._met_ns = self._wheels_before = 0
         self._health: dict[str, dict[str, str]] = {}
 
     def found_by_all(self) -> bool:
         """Return whether robot, localizer and recorder listen to the time, which stands still."""
-        self._spin(0.05)
+        self._spin_both(0.05)
         return self._publisher.get_subscription_count() >= 3 and self._recorder.connected()
 
     def go_on_until_met(self) -> bool:
         """Let some time pass; return whether all hear the robot's sensors."""
         self.now_ns += self.STEP_NS
         self._tell()
-        self._spin(0.02)
+        self._spin_both(0.02)
         self._met_ns, self._wheels_before = self.now_ns, self._recorder.counts["/joint_states"]
         return all(self._recorder.counts[topic] for topic in RECORDED if topic != "/odom") and all(
             int(self._health.get(name, {}).get(key, "0"))
@@ -111,15 +105,15 @@ class PatientClock:
         ):
             self.now_ns += self.STEP_NS
         self._tell()
-        self._spin(0.002)
+        self._spin_both(0.002)
 
     def _tell(self) -> None:
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(self.now_ns, S)
         self._publisher.publish(message)
 
-    def _spin(self, seconds: float) -> None:
-        self._executor.spin_once(timeout_sec=seconds)
+    def _spin_both(self, seconds: float) -> None:
+        self.spin(seconds)
         self._recorder.spin_once(seconds)
         for _ in range(5):
             self._recorder.spin_once(0.0)
@@ -129,11 +123,6 @@ class PatientClock:
         for status in message.status:
             name = status.name.removeprefix("localizer: ")
             self._health[name] = {entry.key: entry.value for entry in status.values}
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
 
 
 @pytest.fixture
