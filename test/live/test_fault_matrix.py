@@ -11,7 +11,7 @@ import pytest
 from faults import matrix as fault_matrix
 from faults import processes as row_processes
 from faults import scenarios as fault_runs
-from faults.matrix import SAME_M, SETTLED_S, judge, position_error
+from faults.matrix import SAME_M, SETTLED_S, fault_effect, position_error
 from faults.rows import ROWS
 from faults.scenarios import LASTS_S, ONSET_S, Run
 
@@ -49,7 +49,7 @@ def run_row(
         else:
             pytest.fail(f"{name} does not run")
         assert found.finite
-        assert judge(row, found, found).missing == 0
+        assert fault_effect(row, found, found).missing == 0
         return found
 
     return run
