@@ -95,19 +95,21 @@ def displacement(model: MotionModel, heading: FloatArray, control: FloatArray) -
     Args:
         model: the motion model.
         heading: `(...)` heading before the step [rad].
-        control: `(2, ...)` [dS, dtheta] (m, rad).
+        control: `(2, ...)` [dS, dtheta] (m, rad); broadcasts against `heading`.
 
     Returns:
         `(3, ...)`: [dx, dy, dtheta] (m, m, rad).
     """
-    heading, distance, rotation = np.broadcast_arrays(heading, *control)
+    distance, rotation = control
     if model is MotionModel.PAPER:
         chord, direction = distance, heading + rotation
     else:
         half = 0.5 * rotation
         ratio, _ = sinc_and_derivative(half)
         chord, direction = distance * ratio, heading + half
-    return np.stack([chord * np.cos(direction), chord * np.sin(direction), rotation])
+    moved = np.empty((3, *direction.shape))
+    moved[0], moved[1], moved[2] = chord * np.cos(direction), chord * np.sin(direction), rotation
+    return moved
 
 
 def move(model: MotionModel, mean: FloatArray, control: FloatArray) -> Motion:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import FloatArray, components_first, components_last
+from fnn_ekf_ros.core.arrays import FloatArray, components_last
 from fnn_ekf_ros.core.motion import MotionModel, displacement
 from fnn_ekf_ros.core.odometry import WheelGeometry
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
@@ -26,6 +26,8 @@ LOOKAHEAD = 0.3
 """Distance at which the driver looks ahead along the path [m]."""
 LARGEST_TURN_RATE = 1.5
 """Largest rotation rate that the driver commands [rad/s]."""
+_STEP_SLIP = np.sqrt(STEP_S / NOMINAL_PERIOD_S)
+"""Standard deviation of slip over a step, as a part of that over 375 ms."""
 EQUAL_WHEELS = np.ones(2)
 """Factors on the radii of the left and right wheel that are as configured."""
 
@@ -73,10 +75,17 @@ def follow(path: Path, state: RobotState, speed: float) -> tuple[RobotState, Flo
     progress = state.progress + np.maximum(LOOKAHEAD - distance, 0.0)
     ahead = path.at(progress) - state.pose[..., :2]
     angle = wrap_angle(np.arctan2(ahead[..., 1], ahead[..., 0]) - state.pose[..., 2])
-    rate = 2.0 * speed * np.sin(np.clip(angle, -0.5 * np.pi, 0.5 * np.pi)) / LOOKAHEAD
-    rate = np.clip(rate, -LARGEST_TURN_RATE, LARGEST_TURN_RATE)
-    command = np.stack([np.full_like(rate, speed), rate], axis=-1)
-    return state._replace(progress=progress), command
+    rate = 2.0 * speed * np.sin(_within(angle, 0.5 * np.pi)) / LOOKAHEAD
+    rate = _within(rate, LARGEST_TURN_RATE)
+    command = np.empty((*rate.shape, 2))
+    command[..., 0], command[..., 1] = speed, rate
+    return RobotState(state.pose, state.travel, progress), command
+
+
+def _within(values: FloatArray, limit: float) -> FloatArray:
+    # np.clip is several times slower on a few values.
+    limited: FloatArray = np.minimum(np.maximum(values, -limit), limit)
+    return limited
 
 
 def advance(
@@ -98,24 +107,27 @@ def advance(
         slip_std: instead of the parameters' slip, per 375 ms (m, rad).
     """
     L = parameters.wheel_separation
-    half_turn = 0.5 * L * command[..., 1]
-    speeds = np.stack([command[..., 0] - half_turn, command[..., 0] + half_turn], axis=-1)
-    batch = state.pose.shape[:-1]
-    draws = rng.random((*batch, 2)), rng.standard_normal((*batch, 2))
-    distances = speeds * (1.0 + parameters.wheel_speed_error * (2.0 * draws[0] - 1.0)) * STEP_S
+    linear, half_turn = command[..., 0], 0.5 * L * command[..., 1]
+    speeds = np.empty(command.shape)
+    speeds[..., 0], speeds[..., 1] = linear - half_turn, linear + half_turn
+    size = (*state.pose.shape[:-1], 2)
+    error = parameters.wheel_speed_error * (2.0 * rng.random(size) - 1.0)
+    distances = speeds * (1.0 + error) * STEP_S
 
-    moving = np.any(speeds != 0.0, axis=-1, keepdims=True)
-    std = parameters.slip() if slip_std is None else slip_std
-    slip = draws[1] * np.asarray(std) * np.sqrt(STEP_S / NOMINAL_PERIOD_S)
+    slip = rng.standard_normal(size) * (parameters.slip() if slip_std is None else slip_std)
+    slip *= _STEP_SLIP
+    moving = np.any(speeds, axis=-1, keepdims=True)
+    if not moving.all():
+        slip = np.where(moving, slip, 0.0)
     rolled = distances * radius_factors
     left, right = rolled[..., 0], rolled[..., 1]
-    control = np.stack([0.5 * (left + right), (right - left) / L], axis=-1) + np.where(
-        moving, slip, 0.0
-    )
-    moved = displacement(MotionModel.EXACT_ARC, state.pose[..., 2], components_first(control))
+    control = np.empty((2, *size[:-1]))
+    control[0] = 0.5 * (left + right) + slip[..., 0]
+    control[1] = (right - left) / L + slip[..., 1]
+    moved = displacement(MotionModel.EXACT_ARC, state.pose[..., 2], control)
     pose = state.pose + components_last(moved)
     pose[..., 2] = wrap_angle(pose[..., 2])
-    return state._replace(pose=pose, travel=state.travel + distances)
+    return RobotState(pose, state.travel + distances, state.progress)
 
 
 def encoder_counts(parameters: FakeRobotParameters, state: RobotState) -> FloatArray:
