@@ -105,14 +105,14 @@ def test_mode_q_projects_the_mismatch_on_the_way(
     C = S + np.array([1e-4, 3e-4, 2e-4, 5e-4])
     after = run(adaptation, S, C, heading=heading)
     D = after.mismatch
-    forward = D[0] * math.cos(heading) ** 2 + D[1] * math.sin(heading) ** 2
+    along = D[0] * math.cos(heading) ** 2 + D[1] * math.sin(heading) ** 2
     change = [
-        float(infer(published, np.array(forward / 2e-6)).change) * 2e-6,
+        float(infer(published, np.array(along / 2e-6)).change) * 2e-6,
         float(infer(published, np.array(D[2] / 5e-7)).change) * 5e-7,
     ]
     np.testing.assert_allclose(after.process_noise, Q + change, rtol=1e-12)
     assert after.measurement_noise.tobytes() == R.tobytes()
-    for axis, argument in ((DISTANCE, forward / 2e-6), (ROTATION, D[2] / 5e-7)):
+    for axis, argument in ((DISTANCE, along / 2e-6), (ROTATION, D[2] / 5e-7)):
         np.testing.assert_allclose(
             after.process_firing_strength[:, axis],
             infer(published, np.array(argument)).firing_strength,
@@ -133,7 +133,7 @@ def test_mode_q_by_centroid(
 
 
 @pytest.mark.parametrize(
-    ("rows", "forward_moves", "yaw_row"),
+    ("rows", "distance_moves", "yaw_row"),
     [
         ([0, 1, 2, 3], True, 2),
         ([0, 1, 3], True, 3),
@@ -147,15 +147,15 @@ def test_mode_q_uses_only_what_was_measured(
     make_adaptation: Callable[..., Adaptation],
     published: FuzzySets,
     rows: list[int],
-    forward_moves: bool,
+    distance_moves: bool,
     yaw_row: int | None,
 ) -> None:
-    """Forward needs both x and y; heading the compass, else the laser's yaw."""
+    """Distance needs both x and y; rotation the compass, else the laser's yaw."""
     available = np.isin(np.arange(4), rows)
     C = S + np.array([1e-4, 1e-4, 2e-4, 5e-4])
     after = run(make_adaptation(mode="q"), S, C, available)
-    assert (after.process_noise[0] != Q[0]) == forward_moves
-    assert np.any(after.process_firing_strength[:, DISTANCE] != 0.0) == forward_moves
+    assert (after.process_noise[0] != Q[0]) == distance_moves
+    assert np.any(after.process_firing_strength[:, DISTANCE] != 0.0) == distance_moves
     assert np.any(after.process_firing_strength[:, ROTATION] != 0.0) == (yaw_row is not None)
     if yaw_row is None:
         assert after.process_noise[1] == Q[1]

@@ -38,7 +38,7 @@ def test_minus_pi_is_pi_itself() -> None:
     assert float(wrap_angle(math.pi)) == math.pi
 
 
-def test_no_neighbour_of_a_half_turn_leaves_the_interval() -> None:
+def test_no_neighbor_of_a_half_turn_leaves_the_interval() -> None:
     for turns in range(-9, 10):
         angle = turns * math.pi
         neighbors = angle + np.arange(-4, 5) * np.spacing(abs(angle))

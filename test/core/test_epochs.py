@@ -162,10 +162,10 @@ def test_sideways_variance_of_a_straight_way_in_parts(
         np.array([way / parts, 0.0]), 0.375 / parts, np.full(4, np.nan), NO_ROWS
     )  # fmt: skip
     state, _ = step(model, start_filter(model, np.zeros(3), np.zeros((3, 3))), [epoch] * parts)
-    forward, turn = model.process_noise
-    sideways = turn * way**2 * (1.0 / 3.0 - 1.0 / (12.0 * parts**2))
-    lean = 0.5 * turn * way
-    expected = [[forward, 0.0, 0.0], [0.0, sideways, lean], [0.0, lean, turn]]
+    distance, rotation = model.process_noise
+    sideways = rotation * way**2 * (1.0 / 3.0 - 1.0 / (12.0 * parts**2))
+    lean = 0.5 * rotation * way
+    expected = [[distance, 0.0, 0.0], [0.0, sideways, lean], [0.0, lean, rotation]]
     np.testing.assert_allclose(state.covariance, expected, rtol=1e-12, atol=1e-18)
 
 

@@ -104,7 +104,7 @@ def test_log_likelihood_counts_the_available_rows_only(
         assert got[f, i] == pytest.approx(student_log_likelihood(z[rows, i], S), abs=1e-12)
 
 
-def test_the_star_has_its_centre_and_two_neighbors_for_each_scale() -> None:
+def test_the_star_has_its_center_and_two_neighbors_for_each_scale() -> None:
     assert SCALES == ("forward", "heading", "position", "yaw")
     assert len(SCALES) == SCALE_COUNT
     assert STAR.shape == (SCALE_COUNT, STAR_SIZE) == (4, 9)

@@ -198,7 +198,7 @@ def test_new_pose_keeps_the_noise_and_forgets_the_innovations(
 def test_mode_q_projects_on_the_heading_at_the_end_of_the_step(
     make_model: Callable[..., FilterModel], make_adaptation: Callable[..., Adaptation]
 ) -> None:
-    """Driving along y after a quarter turn, only y's innovations teach the forward noise."""
+    """Driving along y after a quarter turn, only y's innovations teach distance noise."""
     model = make_model(adaptation=make_adaptation(mode="q", window_length=3))
     loud_x = np.array([5.0, 0.0, 0.0, 0.0])
     available = np.array([True, True, False, False])

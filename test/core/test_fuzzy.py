@@ -140,7 +140,7 @@ def test_noise_falls_where_S_is_too_large_and_rises_where_it_is_too_small(
 @PROPERTY
 @given(st.floats(min_value=-1e150, max_value=1e150))
 @pytest.mark.slow
-def test_normalised_firing_sums_to_one_and_the_change_is_its_mean(
+def test_normalized_firing_sums_to_one_and_the_change_is_its_mean(
     either_set: FuzzySets, mismatch: float
 ) -> None:
     result = infer(either_set, np.array(mismatch))

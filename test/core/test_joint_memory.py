@@ -145,25 +145,25 @@ def test_readings_that_come_slowly_count_for_one_each(
     np.testing.assert_allclose(after.memory, np.broadcast_to(N, (4, 2)), rtol=1e-12)
 
 
-def test_of_two_sensors_out_of_step_each_counts_for_the_root_of_a_half_of_the_heading(
+def test_of_two_sensors_out_of_step_each_counts_for_the_root_of_a_half_of_rotation(
     known: tuple[FilterModel, JointState],
 ) -> None:
-    """Both inform the heading's scale; the other scales have one of them each, a period apart.
+    """Both inform the rotation's scale; the other scales have one of them each, a period apart.
 
-    So the heading fades by sqrt(2) readings in a nominal period, in step it fades by one.
+    So the rotation fades by sqrt(2) readings in a nominal period, in step it fades by one.
     """
     model, before = known
     in_step = after_lessons(model, before, [(1.0, FIX_AND_COMPASS)] * 30)
     halves = [(0.5, FIX), (0.5, ONLY_COMPASS)]
     apart = after_lessons(model, before, halves * 30)
-    own, heading = [0, 2, 3], 1
+    own, rotation = [0, 2, 3], 1
     np.testing.assert_allclose(apart.memory[own], in_step.memory[own], rtol=1e-12)
     ratio = left(before, apart) / left(before, in_step)
     np.testing.assert_allclose(ratio[own, own], 1.0, rtol=1e-9)
     part, N = faded([1.0] + [math.sqrt(0.5)] * 59)
-    np.testing.assert_allclose(apart.memory[heading], N, rtol=1e-12)
-    np.testing.assert_allclose(left(before, apart)[heading, heading], part, rtol=1e-8)
-    assert np.all(ratio[heading, heading] < 1.0), ratio
+    np.testing.assert_allclose(apart.memory[rotation], N, rtol=1e-12)
+    np.testing.assert_allclose(left(before, apart)[rotation, rotation], part, rtol=1e-8)
+    assert np.all(ratio[rotation, rotation] < 1.0), ratio
 
 
 def test_a_fast_compass_makes_nothing_of_the_fixes_be_forgotten(

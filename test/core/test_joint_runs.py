@@ -164,7 +164,7 @@ def test_mended_start_stays_mended(runs: Runs) -> None:
     assert np.all(np.abs(swing) < 0.5), swing
 
 
-def test_coloured_fixes_do_not_fool_the_right_start(runs: Runs) -> None:
+def test_colored_fixes_do_not_fool_the_right_start(runs: Runs) -> None:
     """Autoregressive with 0.5: the innovations ask for less R and more Q, and that is wrong."""
     assert position_rmse(runs.joint, COLORED) < 1.02 * position_rmse(runs.start, COLORED)
     assert np.mean(runs.joint.weights[:, 0, COLORED] > 0.5) > 0.8
@@ -195,7 +195,7 @@ def test_loud_fixes_are_noticed_at_once_and_forgotten_afterwards(runs: Runs) -> 
 
 
 def test_sliding_wheels_are_met_within_a_few_periods(runs: Runs) -> None:
-    """Half a metre and 17 degrees in each of five periods, which the wheels do not see."""
+    """Half a meter and 17 degrees in each of five periods, which the wheels do not see."""
     begin, end = SLIDE
     slip = runs.joint.weights[:, 3, SLIDING]
     assert np.all(slip[begin - 20 : begin] < 0.1)

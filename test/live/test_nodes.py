@@ -362,7 +362,7 @@ def test_fake_robot_with_a_wrong_timeline_of_faults_ends_with_one_line(
     ]
 
 
-def test_fake_robot_suffers_its_faults(
+def test_fake_robot_has_its_faults(
     processes: Any, listener: Listener, patiently: Callable[..., None], tmp_path: Path
 ) -> None:
     """Its compass is silent from the start; its clock, which it publishes, jumps."""

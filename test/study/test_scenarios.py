@@ -167,7 +167,7 @@ def test_noise_of_the_sensors() -> None:
     assert np.max(np.abs(across)) < 6.0 / math.sqrt(noise[..., 0].size)
 
 
-def test_coloured_fixes() -> None:
+def test_colored_fixes() -> None:
     noise = noise_of(Scenario(fix_correlation=0.5)) / np.sqrt(NOMINAL_MEASUREMENT_NOISE)
     for row, first, second in ((Row.X, 0.5, 0.25), (Row.Y, 0.5, 0.25), (Row.COMPASS_YAW, 0, 0)):
         assert np.mean(noise[..., row] ** 2) == pytest.approx(1.0, abs=0.03)
@@ -176,7 +176,7 @@ def test_coloured_fixes() -> None:
             assert found == pytest.approx(expected, abs=0.03)
 
 
-def test_coloured_fixes_are_coloured_from_the_first_one_on() -> None:
+def test_colored_fixes_are_colored_from_the_first_one_on() -> None:
     noise = noise_of(Scenario(fix_correlation=0.5), steps=3, runs=20_000)
     variance = np.mean(noise**2, axis=1) / NOMINAL_MEASUREMENT_NOISE
     np.testing.assert_allclose(variance, 1.0, atol=0.05)
