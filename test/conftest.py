@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the unit tests share: parameters, pipelines, simulated runs, commands and bags."""
+"""What the unit tests share: parameters, localizers, simulated runs, commands and bags."""
 
 import signal
 from collections.abc import Callable, Iterator

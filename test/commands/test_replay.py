@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import Refuse, Succeed, contents, parameters_of, records
-from localizers import make_pipeline
+from localizers import make_localizer
 from places import ROOT
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -145,26 +145,26 @@ def test_replay_copies_all_and_adds_its_own(
 
 
 @pytest.mark.slow
-def test_replay_gives_what_the_pipeline_gives(
+def test_replay_gives_what_the_localizer_gives(
     tmp_path: Path, recorded: Path, succeed: Succeed
 ) -> None:
     out = tmp_path / "out"
     succeed("replay", recorded, out, "--params", parameters_of(recorded), "-p", "adaptation:=r")
     values = read_parameter_file(parameters_of(recorded), "localizer")
-    pipeline = make_pipeline(**values | {"adaptation": "r"})
-    topics = messages.input_topics(pipeline.parameters)
+    localizer = make_localizer(**values | {"adaptation": "r"})
+    topics = messages.input_topics(localizer.parameters)
     outputs: list[Output] = []
     with BagReader(recorded) as bag:
         for record in bag.records():
-            outputs += pipeline.advance(record.time_ns)
+            outputs += localizer.advance(record.time_ns)
             topic = record.topic.removeprefix("/")
             if topic in topics:
                 events = messages.read_input(
-                    topic, bag.message(record), record.time_ns, pipeline.parameters
+                    topic, bag.message(record), record.time_ns, localizer.parameters
                 )
                 assert not isinstance(events, Rejected)
                 for event in events:
-                    outputs += pipeline.add(event, record.time_ns)
+                    outputs += localizer.add(event, record.time_ns)
     expected = [o.estimate for o in outputs if o.estimate is not None]
     with BagReader(out) as bag:
         odoms = [bag.message(record) for record in bag.records({"/odom"})]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import Arrival, feed, make_pipeline, same_estimates, simulated, statuses
+from localizers import Arrival, feed, make_localizer, same_estimates, simulated, statuses
 
 from fnn_ekf_ros.localizer import history
 from fnn_ekf_ros.timeline.events import CompassYaw, Level, Output, PoseFix, Status, WheelCount
@@ -26,8 +26,8 @@ def without(arrivals: Any, kind: type, after_ns: int) -> list[Any]:
 
 @pytest.mark.slow
 def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is() -> None:
-    pipeline = make_pipeline()
-    outputs = feed(pipeline, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
+    localizer = make_localizer()
+    outputs = feed(localizer, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
     status = last_status(outputs)
     assert status.level is Level.WARN
     degraded = [s for s in statuses(outputs, "filter") if "degraded: no fix" in s.message]
@@ -41,8 +41,8 @@ def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is()
 
 
 def test_a_filter_without_fixes_and_with_poor_wheels_is_lost() -> None:
-    pipeline = make_pipeline(adaptation="none", process_noise_std=[2.0, 0.05])
-    outputs = feed(pipeline, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
+    localizer = make_localizer(adaptation="none", process_noise_std=[2.0, 0.05])
+    outputs = feed(localizer, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
     status = last_status(outputs)
     assert status.level is Level.ERROR
     assert status.message.startswith("lost: no fix accepted while driving")
@@ -50,7 +50,7 @@ def test_a_filter_without_fixes_and_with_poor_wheels_is_lost() -> None:
 
 def test_a_filter_without_a_compass_says_so() -> None:
     silent = without(simulated(11, 30.0).arrivals, CompassYaw, FIX_LOST_NS)
-    status = last_status(feed(make_pipeline(), silent))
+    status = last_status(feed(make_localizer(), silent))
     assert status.level is Level.WARN
     assert "degraded: no yaw accepted while driving" in status.message
     assert float(dict(status.values)["driving since the last yaw [s]"]) > 10.0
@@ -63,7 +63,7 @@ def test_a_kidnapped_robot_is_told_of_once() -> None:
         else Arrival(now_ns, event)
         for now_ns, event in simulated(11, 30.0).arrivals
     ]
-    outputs = feed(make_pipeline(), arrivals)
+    outputs = feed(make_localizer(), arrivals)
     told = [s for s in statuses(outputs, "filter") if "was carried" in s.message]
     assert len(told) == 1
     assert told[0].level is Level.WARN
@@ -96,11 +96,11 @@ def test_a_kidnapped_robot_is_told_of_once() -> None:
 @pytest.mark.slow
 def test_noise_that_starts_at_its_bound_is_told(changes: dict[str, Any], words: str) -> None:
     arrivals = simulated(11, 30.0).arrivals[:1500]
-    found = statuses(feed(make_pipeline(**changes), arrivals), "filter")
+    found = statuses(feed(make_localizer(**changes), arrivals), "filter")
     first = next(s for s in found if "bound" in s.message)
     assert first.level is Level.WARN
     assert words in first.message
-    fixed = feed(make_pipeline(**(changes | {"adaptation": "none"})), arrivals)
+    fixed = feed(make_localizer(**(changes | {"adaptation": "none"})), arrivals)
     assert not any("bound" in status.message for status in statuses(fixed, "filter"))
 
 
@@ -125,7 +125,7 @@ def every_fourth_fix_late(arrivals: Any) -> list[Any]:
 
 
 def test_a_turned_compass_is_named_and_nobody_else() -> None:
-    outputs = feed(make_pipeline(), spoiled(simulated(11, 30.0).arrivals))
+    outputs = feed(make_localizer(), spoiled(simulated(11, 30.0).arrivals))
     warned = {s.name for o in outputs if o.estimate for s in o.statuses or () if s.level}
     assert warned == {"compass", "filter"}
     assert "compass disagrees with the wheels and the fixes" in last_status(outputs).message
@@ -142,10 +142,10 @@ def test_who_is_suspected_never_touches_the_estimates(
     monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
     arrivals = every_fourth_fix_late(spoiled(simulated(11, 30.0).arrivals))
-    watched = feed(make_pipeline(adaptation=mode), arrivals)
+    watched = feed(make_localizer(adaptation=mode), arrivals)
     assert any("disagrees" in status.message for status in statuses(watched, "filter"))
     monkeypatch.setattr(history, "recent_after", lambda *_: None)
-    unwatched = feed(make_pipeline(adaptation=mode), arrivals)
+    unwatched = feed(make_localizer(adaptation=mode), arrivals)
     assert not any("disagrees" in status.message for status in statuses(unwatched, "filter"))
     same_estimates(watched, unwatched)
 
@@ -157,13 +157,13 @@ def test_late_measurements_are_judged_as_if_they_had_come_in_time() -> None:
     rest = [a for a in arrivals if isinstance(a.event, WheelCount)][-1]
     told = []
     for heard in (arrivals, every_fourth_fix_late(arrivals)):
-        pipeline = make_pipeline()
-        feed(pipeline, heard)
+        localizer = make_localizer()
+        feed(localizer, heard)
         for wait_ns in (10**9, 2 * 10**9):  # the last periods, and all that was late
-            feed(pipeline, [Arrival(rest.now_ns + wait_ns, rest.event._replace(
+            feed(localizer, [Arrival(rest.now_ns + wait_ns, rest.event._replace(
                 stamp_ns=rest.now_ns + wait_ns))])  # fmt: skip
         values: dict[str, str] = {}
-        for status in pipeline.report():
+        for status in localizer.report():
             if status.name in ("compass", "lrf_pose", "filter"):
                 values |= {f"{status.name} {key}": value for key, value in status.values}
         told.append({key: value for key, value in values.items() if "age" not in key})

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from diagnostic_tables import message_tables
-from localizers import SECOND_NS, make_pipeline
+from localizers import SECOND_NS, make_localizer
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.diagnostics.messages import (
@@ -70,7 +70,7 @@ def test_messages_are_filled_and_joined() -> None:
 @pytest.mark.parametrize("case", NAMING_CASES, ids=lambda case: case.name)
 @pytest.mark.slow
 def test_every_message_in_a_run_with_a_fault_is_listed(case: FaultCase) -> None:
-    localizer = make_pipeline()
+    localizer = make_localizer()
     robot = FakeRobotParameters(path="sim1", seed=3)
     told = []
     for heard in listen(robot, localizer.parameters, START_NS, 24.0, case.faults(8.0)):
@@ -81,7 +81,7 @@ def test_every_message_in_a_run_with_a_fault_is_listed(case: FaultCase) -> None:
 
 
 def test_the_messages_of_clocks_and_stamps_are_listed() -> None:
-    localizer = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0])
     now_ns = 100 * SECOND_NS
     localizer.advance(now_ns)
     found: list[str] = []
@@ -121,5 +121,5 @@ def test_the_messages_of_clocks_and_stamps_are_listed() -> None:
 
 
 def test_every_message_of_a_status_is_text() -> None:
-    made = messages.diagnostics(SECOND_NS, "localizer", make_pipeline().report())
+    made = messages.diagnostics(SECOND_NS, "localizer", make_localizer().report())
     assert {type(status.fields["message"]) for status in made.fields["status"]} == {str}

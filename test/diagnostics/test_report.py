@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import Arrival, as_object, feed, make_pipeline, simulated
+from localizers import Arrival, as_object, feed, make_localizer, simulated
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.joint_state import HYPOTHESES, JointReport
@@ -35,7 +35,7 @@ def numbers(text: str) -> list[float]:
 
 
 def test_health_has_its_five_parts_about_once_a_second() -> None:
-    outputs = feed(make_pipeline(), simulated(11, 30.0).arrivals)
+    outputs = feed(make_localizer(), simulated(11, 30.0).arrivals)
     reports = [output for output in outputs if output.statuses is not None]
     assert 28 <= len(reports) <= 34
     for output in reports:
@@ -50,7 +50,7 @@ def test_a_silent_sensor_is_warned_about() -> None:
         a for a in arrivals
         if not (isinstance(a.event, CompassYaw) and a.now_ns > arrivals[-1].now_ns - 10**10)
     ]  # fmt: skip
-    last = [o for o in feed(make_pipeline(), silent) if o.statuses is not None][-1]
+    last = [o for o in feed(make_localizer(), silent) if o.statuses is not None][-1]
     levels = {status.name: status.level for status in last.statuses}
     assert levels == {
         "encoders": Level.OK, "compass": Level.WARN, "lrf_pose": Level.OK, "filter": Level.WARN,
@@ -90,7 +90,7 @@ def test_a_parked_robot_needs_no_fixes() -> None:
     arrivals = simulated(11, 30.0).arrivals
     silent = parked(arrivals, (PoseFix, CompassYaw), 40)
     moving = [a for a in silent if not isinstance(a.event, CompassYaw)]
-    outputs = feed(make_pipeline(**changes), moving)
+    outputs = feed(make_localizer(**changes), moving)
     assert {level for levels in levels_of(outputs).values() for level in levels} == {Level.OK}
     last = {s.name: s for s in outputs[-1].statuses or outputs[-2].statuses or outputs[-3].statuses}
     assert last["lrf_pose"].message == (
@@ -109,7 +109,7 @@ def test_a_robot_that_drives_on_needs_fixes_soon() -> None:
         if now_ns > PARKED_NS and not isinstance(event, PoseFix)
     ]
     stopped = parked(arrivals, (PoseFix,), 20)
-    outputs = feed(make_pipeline(), stopped + on)
+    outputs = feed(make_localizer(), stopped + on)
     first = {
         name: next(
             o.stamp_ns for o in outputs for s in o.statuses or ()
@@ -123,13 +123,13 @@ def test_a_robot_that_drives_on_needs_fixes_soon() -> None:
 
 def test_a_compass_goes_on_while_the_robot_is_parked() -> None:
     silent = parked(simulated(11, 30.0).arrivals, (CompassYaw,), 20)
-    found = levels_of(feed(make_pipeline(), silent))
+    found = levels_of(feed(make_localizer(), silent))
     assert found["compass"] == {Level.OK, Level.WARN}
     assert found["lrf_pose"] == {Level.OK}
 
 
 def test_refused_messages_are_warned_about_once() -> None:
-    pipeline = make_pipeline()
+    localizer = make_localizer()
     fix = messages.Message(
         messages.POSE_TYPE,
         {
@@ -137,17 +137,17 @@ def test_refused_messages_are_warned_about_once() -> None:
             "pose": messages.pose_with_covariance(np.zeros(3), np.eye(6)),
         },
     )
-    pipeline.advance(10**9)
-    rejected = pipeline.receive(messages.LRF_POSE, as_object(fix), 10**9).rejected
+    localizer.advance(10**9)
+    rejected = localizer.receive(messages.LRF_POSE, as_object(fix), 10**9).rejected
     assert rejected is not None
     assert rejected.sensor is Sensor.LRF_POSE
-    first = next(s for s in pipeline.report() if s.name == "lrf_pose")
+    first = next(s for s in localizer.report() if s.name == "lrf_pose")
     assert first.level is Level.WARN
     assert first.message == "message refused: frame_id differs from the parameter frame_id"
     assert ("last refusal", rejected.reason) in first.values
     assert "in frame 'odom'" in rejected.reason
     assert ("refused", "1") in first.values
-    second = next(s for s in pipeline.report() if s.name == "lrf_pose")
+    second = next(s for s in localizer.report() if s.name == "lrf_pose")
     assert "refused" not in second.message
     assert ("last refusal", rejected.reason) in second.values
     assert ("refused", "1") in second.values
@@ -181,8 +181,8 @@ def test_the_hypothesis_that_weighs_most_is_the_reason(leader: int) -> None:
 def test_the_noise_of_joint_adaptation_is_reported() -> None:
     """Fixes' and compass noise five times too large: it has to say so, and to run on it."""
     start = [0.5, 0.5, 0.67]
-    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=start, lrf_yaw_std=0.67)
-    values = filter_values(feed(pipeline, simulated(11, 60.0, path="sim2").arrivals))
+    localizer = make_localizer(adaptation="joint", measurement_noise_std=start, lrf_yaw_std=0.67)
+    values = filter_values(feed(localizer, simulated(11, 60.0, path="sim2").arrivals))
     assert all(value["adaptation"] == "joint" for value in values)
     last = values[-1]
     assert last["reason"].startswith("settled: ")
@@ -200,7 +200,7 @@ def test_the_noise_of_joint_adaptation_is_reported() -> None:
 
 @pytest.mark.parametrize("mode", ["none", "r", "q", "rq"])
 def test_other_modes_report_no_estimated_noise(mode: str) -> None:
-    values = filter_values(feed(make_pipeline(adaptation=mode), simulated(11, 30.0).arrivals))
+    values = filter_values(feed(make_localizer(adaptation=mode), simulated(11, 30.0).arrivals))
     assert values
     for value in values:
         assert value["adaptation"] == mode
@@ -210,10 +210,10 @@ def test_other_modes_report_no_estimated_noise(mode: str) -> None:
 def test_estimated_noise_is_kept_while_adaptation_is_disabled() -> None:
     arrivals = simulated(11, 30.0).arrivals
     middle = len(arrivals) // 2
-    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])
-    feed(pipeline, arrivals[:middle])
-    pipeline.enable_adaptation(False)
-    values = filter_values(feed(pipeline, arrivals[middle:]))
+    localizer = make_localizer(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])
+    feed(localizer, arrivals[:middle])
+    localizer.enable_adaptation(False)
+    values = filter_values(feed(localizer, arrivals[middle:]))
     assert {value["adaptation"] for value in values} == {"joint, disabled"}
     # Periods that were learned from are run again for late inputs, and learned from again.
     assert len({value[ESTIMATED] for value in values[3:]}) == 1

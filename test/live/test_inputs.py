@@ -84,9 +84,9 @@ def test_of_messages_that_wait_together_the_wheels_are_taken_last(
     for publisher in (wheels, compass):
         opened.spin_until(publisher.get_subscription_count, "a subscriber")
     taken: list[type] = []
-    pipeline = opened.localizer.localizer
-    add = pipeline.add
-    monkeypatch.setattr(pipeline, "add", lambda e, now: taken.append(type(e)) or add(e, now))
+    localizer = opened.localizer.localizer
+    add = localizer.add
+    monkeypatch.setattr(localizer, "add", lambda e, now: taken.append(type(e)) or add(e, now))
     turned = JointState(name=["left_wheel_joint", "right_wheel_joint"], position=[0.0, 0.0])
     facing = Imu()
     facing.orientation.w = 1.0

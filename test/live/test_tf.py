@@ -60,10 +60,10 @@ class Tree:
             for topic in ("left_ticks", "right_ticks")
         ]
         self.bench.set_clock(5 * S)
-        pipeline = self.bench.localizer.localizer
+        localizer = self.bench.localizer.localizer
         heard: list[Any] = []
-        add = pipeline.add
-        pipeline.add = lambda event, now_ns: heard.append(event.wheel) or add(event, now_ns)
+        add = localizer.add
+        localizer.add = lambda event, now_ns: heard.append(event.wheel) or add(event, now_ns)
         self.bench.spin_until(
             lambda: any(wheel.publish(Int32()) for wheel in wheels) or len(set(heard)) == 2, "both"
         )

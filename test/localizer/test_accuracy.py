@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from localizers import feed, make_pipeline, simulated
+from localizers import feed, make_localizer, simulated
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -57,8 +57,8 @@ def errors() -> Callable[..., Errors]:
     @functools.cache
     def run(seed: int, seconds: float = SECONDS, path: str = "sim2", **changes: Any) -> Errors:
         sent = simulated(seed, seconds, path=path)
-        pipeline = make_pipeline(**{"adaptation": "none", **changes})
-        return errors_of(feed(pipeline, sent.arrivals), sent.truth)
+        localizer = make_localizer(**{"adaptation": "none", **changes})
+        return errors_of(feed(localizer, sent.arrivals), sent.truth)
 
     return run
 

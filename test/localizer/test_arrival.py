@@ -17,7 +17,7 @@ from localizers import (
     START_NS,
     estimates,
     feed,
-    make_pipeline,
+    make_localizer,
     same_estimates,
     simulated,
     time_values,
@@ -67,19 +67,19 @@ def test_neither_delays_nor_the_ticks_of_the_clock_matter(
     arrivals = simulated(12, 12.0, "joint_states").arrivals
     rng = np.random.default_rng(seed)
     changes = JOINTS | start | {"adaptation": adaptation}
-    reference = estimates(feed(make_pipeline(**changes), arrivals))
-    pipeline, outputs = make_pipeline(**changes), []
+    reference = estimates(feed(make_localizer(**changes), arrivals))
+    localizer, outputs = make_localizer(**changes), []
     late = delayed_in_period(arrivals, rng)
     now = START_NS - int(rng.integers(0, 2 * SECOND_NS)) if ticks_a_second else late[0].now_ns
     for arrival in late:
         while ticks_a_second and now < arrival.now_ns:
-            outputs += pipeline.advance(now)
+            outputs += localizer.advance(now)
             now += int(rng.integers(1, 2 * SECOND_NS // ticks_a_second))
-        outputs += pipeline.add(arrival.event, arrival.now_ns)
+        outputs += localizer.add(arrival.event, arrival.now_ns)
     found = estimates(outputs)
     assert len(found) >= len(reference) - 2  # the last ones may still be open
     same_estimates(found, reference[: len(found)])
-    assert time_values(pipeline)["dropped"] == "0"
+    assert time_values(localizer)["dropped"] == "0"
 
 
 @pytest.mark.parametrize("kind", ["PoseFix", "CompassYaw", "WheelCount", "all"])
@@ -95,10 +95,10 @@ def test_duplicates_are_counted_and_change_nothing(kind: str) -> None:
                 twice.append(a._replace(now_ns=later))
                 repeated += 1
     twice.sort(key=lambda a: a.now_ns)
-    pipeline = make_pipeline(**JOINTS)
-    outputs = feed(pipeline, twice)
-    same_estimates(outputs, feed(make_pipeline(**JOINTS), arrivals))
-    values = time_values(pipeline)
+    localizer = make_localizer(**JOINTS)
+    outputs = feed(localizer, twice)
+    same_estimates(outputs, feed(make_localizer(**JOINTS), arrivals))
+    values = time_values(localizer)
     assert values["duplicates"] == str(repeated)
     assert (values["out of order"], values["periods run again for late inputs"]) == ("0", "0")
 
@@ -123,12 +123,12 @@ def test_reordered_messages_count_in_their_order_once_all_are_there(seed: int) -
         ),
         key=lambda a: a.now_ns,
     )  # fmt: skip
-    pipeline = make_pipeline(**JOINTS)
-    outputs = [o for o in feed(pipeline, mixed) if o.stamp_ns > settled_ns]
-    in_order = feed(make_pipeline(**JOINTS), arrivals)
+    localizer = make_localizer(**JOINTS)
+    outputs = [o for o in feed(localizer, mixed) if o.stamp_ns > settled_ns]
+    in_order = feed(make_localizer(**JOINTS), arrivals)
     assert len(outputs) > 5
     same_estimates(outputs, [o for o in in_order if o.stamp_ns > settled_ns])
-    assert int(time_values(pipeline)["out of order"]) > 100
+    assert int(time_values(localizer)["out of order"]) > 100
 
 
 @pytest.mark.slow
@@ -145,7 +145,7 @@ def test_of_equal_stamps_it_does_not_matter_which_comes_first() -> None:
     ran = []
     for turn in (1, -1):
         pair = [b for a in arrivals for b in (a, a._replace(event=other(a.event)))[::turn]]
-        ran.append(estimates(feed(make_pipeline(**JOINTS), pair)))
+        ran.append(estimates(feed(make_localizer(**JOINTS), pair)))
     assert len(ran[0]) > 20
     same_estimates(*ran)
 
@@ -168,13 +168,13 @@ def test_late_fixes_are_in_time_for_an_output_that_waits(adaptation: str) -> Non
     arrivals = simulated(12, 30.0, "joint_states").arrivals
     late = late_fixes(arrivals, 150_000_000)
     changes = JOINTS | {"adaptation": adaptation}
-    in_time = estimates(feed(make_pipeline(**changes), arrivals))
-    pipeline = make_pipeline(output_delay=0.2, **changes)
-    waited = estimates(feed(pipeline, late))
+    in_time = estimates(feed(make_localizer(**changes), arrivals))
+    localizer = make_localizer(output_delay=0.2, **changes)
+    waited = estimates(feed(localizer, late))
     assert len(waited) > 70
     same_estimates(waited, in_time[: len(waited)])
-    assert time_values(pipeline)["periods run again for late inputs"] == "0"
-    hasty = estimates(feed(make_pipeline(**changes), late))
+    assert time_values(localizer)["periods run again for late inputs"] == "0"
+    hasty = estimates(feed(make_localizer(**changes), late))
     assert hasty[-1].estimate is not None
     assert in_time[-1].estimate is not None
     assert np.any(hasty[-1].estimate.state.mean != in_time[-1].estimate.state.mean)
@@ -184,36 +184,36 @@ def test_late_fixes_are_in_time_for_an_output_that_waits(adaptation: str) -> Non
 @pytest.mark.parametrize("complete", [True, False])
 def test_a_period_is_published_so_long_after_its_end(delay: float, complete: bool) -> None:
     """Or `encoder_timeout` after it, if the wheels are not known up to there and that is longer."""
-    pipeline = make_pipeline(output_delay=delay, **POSE)
+    localizer = make_localizer(output_delay=delay, **POSE)
     begin = 10 * PERIOD_NS
-    pipeline.advance(begin)
+    localizer.advance(begin)
     for wheel in Wheel:
-        pipeline.add(WheelCount(begin, wheel, 0), begin)
-    pipeline.advance(begin + round(max(delay, 0.5) * 1e9))
+        localizer.add(WheelCount(begin, wheel, 0), begin)
+    localizer.advance(begin + round(max(delay, 0.5) * 1e9))
     end = begin + 10 * PERIOD_NS
     due = end + round((delay if complete else max(delay, 0.5)) * 1e9)
-    pipeline.advance(due - PERIOD_NS)
+    localizer.advance(due - PERIOD_NS)
     if complete:
         for wheel in Wheel:
-            pipeline.add(WheelCount(end, wheel, 0), end)
+            localizer.add(WheelCount(end, wheel, 0), end)
     else:
-        pipeline.advance(due - 1)
-    assert end not in [o.stamp_ns for o in pipeline.advance(due - 1)]
-    found = [o.stamp_ns for o in pipeline.advance(due)]
+        localizer.advance(due - 1)
+    assert end not in [o.stamp_ns for o in localizer.advance(due - 1)]
+    found = [o.stamp_ns for o in localizer.advance(due)]
     if not (complete and delay == 0.0):
         assert found == [end]
 
 
 def test_a_pose_that_is_set_twice_at_one_stamp_is_the_last_one() -> None:
     """As in a paused simulation: of two commands the last to come counts."""
-    pipeline = make_pipeline(adaptation="none", **POSE)
+    localizer = make_localizer(adaptation="none", **POSE)
     begin = 10 * PERIOD_NS
     for wheel in Wheel:
-        pipeline.add(WheelCount(begin, wheel, 0), begin)
+        localizer.add(WheelCount(begin, wheel, 0), begin)
     for x in (5.0, 1.0, 5.0, 3.0):
         pose = np.array([x, 0.0, 0.0])
-        pipeline.add(PoseReset(begin + 7, pose, 1e-4 * np.eye(3)), begin + 8)
+        localizer.add(PoseReset(begin + 7, pose, 1e-4 * np.eye(3)), begin + 8)
     end = begin + PERIOD_NS
-    outputs = [o for w in Wheel for o in pipeline.add(WheelCount(end, w, 0), end)]
+    outputs = [o for w in Wheel for o in localizer.add(WheelCount(end, w, 0), end)]
     assert outputs[-1].estimate is not None
     assert outputs[-1].estimate.state.mean[0] == 3.0

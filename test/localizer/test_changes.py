@@ -1,13 +1,13 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parameters that change while the pipeline runs."""
+"""Parameters that change while the localizer runs."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from localizers import Arrival, feed, make_parameters, make_pipeline, same_estimates, simulated
+from localizers import Arrival, feed, make_localizer, make_parameters, same_estimates, simulated
 
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
@@ -17,8 +17,8 @@ from fnn_ekf_ros.timeline.events import Output
 MODES = ("none", "r", "q", "joint")
 
 
-def change(pipeline: Localizer, parameters: LocalizerParameters) -> None:
-    pipeline.change(parameters, networks_for(parameters))
+def change(localizer: Localizer, parameters: LocalizerParameters) -> None:
+    localizer.change(parameters, networks_for(parameters))
 
 
 def noise(outputs: list[Output]) -> np.ndarray[Any, Any]:
@@ -33,11 +33,11 @@ def noise(outputs: list[Output]) -> np.ndarray[Any, Any]:
 def test_from_any_mode_to_any_other(before: str, after: str) -> None:
     arrivals = simulated(30, 40.0).arrivals
     middle = len(arrivals) // 2
-    pipeline = make_pipeline(adaptation=before, innovation_window=6)
-    first = noise(feed(pipeline, arrivals[:middle]))
-    change(pipeline, make_parameters(adaptation=after, innovation_window=6))
-    then = noise(feed(pipeline, arrivals[middle:]))
-    assert ("adaptation", after) in {s.name: s for s in pipeline.report()}["filter"].values
+    localizer = make_localizer(adaptation=before, innovation_window=6)
+    first = noise(feed(localizer, arrivals[:middle]))
+    change(localizer, make_parameters(adaptation=after, innovation_window=6))
+    then = noise(feed(localizer, arrivals[middle:]))
+    assert ("adaptation", after) in {s.name: s for s in localizer.report()}["filter"].values
     moves = {"none": [], "q": [0, 1], "r": [2, 3, 4], "joint": range(6)}
     for column in range(6):
         moved = bool(np.ptp(then[:, column]) > 0.0)
@@ -50,11 +50,11 @@ def test_from_any_mode_to_any_other(before: str, after: str) -> None:
 def test_a_change_to_the_same_changes_nothing() -> None:
     arrivals = simulated(30, 30.0).arrivals
     middle = len(arrivals) // 2
-    pipeline = make_pipeline()
-    outputs = feed(pipeline, arrivals[:middle])
-    change(pipeline, pipeline.parameters)
-    outputs += feed(pipeline, arrivals[middle:])
-    same_estimates(outputs, feed(make_pipeline(), arrivals))
+    localizer = make_localizer()
+    outputs = feed(localizer, arrivals[:middle])
+    change(localizer, localizer.parameters)
+    outputs += feed(localizer, arrivals[middle:])
+    same_estimates(outputs, feed(make_localizer(), arrivals))
 
 
 @pytest.mark.slow
@@ -62,12 +62,12 @@ def test_new_bounds_hold_from_the_next_period_on() -> None:
     arrivals = simulated(30, 40.0).arrivals
     middle = len(arrivals) // 2
     wrong = {"process_noise_std": [0.01, 0.01]}
-    pipeline = make_pipeline(**wrong)
-    before = noise(feed(pipeline, arrivals[:middle]))
+    localizer = make_localizer(**wrong)
+    before = noise(feed(localizer, arrivals[:middle]))
     assert np.sqrt(before[-1, 0]) > 0.0108
     bounds = {"process_noise_std_max": [0.0105, 0.0105]}
-    change(pipeline, make_parameters(**wrong, **bounds))
-    after = noise(feed(pipeline, arrivals[middle:]))
+    change(localizer, make_parameters(**wrong, **bounds))
+    after = noise(feed(localizer, arrivals[middle:]))
     assert np.all(np.sqrt(after[:, :2]) <= 0.0105 * (1.0 + 1e-12))
 
 
@@ -85,10 +85,10 @@ def test_late_inputs_run_the_periods_before_a_change_as_they_were() -> None:
     )
     runs = []
     for order in (arrivals, delayed):
-        pipeline = make_pipeline()
-        feed(pipeline, [a for a in order if a.now_ns < at_ns])
-        change(pipeline, make_parameters(adaptation="none"))
-        runs.append(feed(pipeline, [a for a in order if a.now_ns >= at_ns])[5:])
+        localizer = make_localizer()
+        feed(localizer, [a for a in order if a.now_ns < at_ns])
+        change(localizer, make_parameters(adaptation="none"))
+        runs.append(feed(localizer, [a for a in order if a.now_ns >= at_ns])[5:])
     same_estimates(*runs)
 
 
@@ -97,9 +97,9 @@ def test_late_inputs_run_the_periods_before_a_change_as_they_were() -> None:
 def test_noise_that_is_held_stays_held(after: str) -> None:
     arrivals = simulated(30, 40.0).arrivals
     middle = len(arrivals) // 2
-    pipeline = make_pipeline(adaptation="q", innovation_window=6)
-    feed(pipeline, arrivals[:middle])
-    pipeline.enable_adaptation(False)
-    change(pipeline, make_parameters(adaptation=after, innovation_window=6))
-    held = noise(feed(pipeline, arrivals[middle:]))
+    localizer = make_localizer(adaptation="q", innovation_window=6)
+    feed(localizer, arrivals[:middle])
+    localizer.enable_adaptation(False)
+    change(localizer, make_parameters(adaptation=after, innovation_window=6))
+    held = noise(feed(localizer, arrivals[middle:]))
     np.testing.assert_array_equal(held, np.broadcast_to(held[0], held.shape))

@@ -13,7 +13,7 @@ from localizers import (
     Arrival,
     estimates,
     feed,
-    make_pipeline,
+    make_localizer,
     same_estimates,
     simulated,
     status_at_end,
@@ -37,12 +37,12 @@ def test_a_clock_that_is_set_forward_costs_certainty_only(step_s: float) -> None
         )
         for a in run.arrivals
     ]  # fmt: skip
-    pipeline = make_pipeline(adaptation="none", **JOINTS)
-    outputs = estimates(feed(pipeline, moved))
+    localizer = make_localizer(adaptation="none", **JOINTS)
+    outputs = estimates(feed(localizer, moved))
     stamps = [output.stamp_ns for output in outputs]
     assert np.all(np.diff(stamps) == PERIOD_NS)
-    assert time_values(pipeline)["restarts"] == "0"
-    assert dict(status_at_end(pipeline, "encoders").values)["jumps"] == "0"
+    assert time_values(localizer)["restarts"] == "0"
+    assert dict(status_at_end(localizer, "encoders").values)["jumps"] == "0"
     last = outputs[-1].estimate
     assert last is not None
     truth_ns = min(run.truth, key=lambda s: abs(s - (last.stamp_ns - step_ns)))
@@ -61,9 +61,9 @@ def test_a_clock_that_is_set_back_does_not_lose_the_robot(step_s: float, source:
         for a in run.arrivals
         for by in [later if a.now_ns < set_ns else later + step_ns]
     ]
-    pipeline = make_pipeline(encoder_source=source, adaptation="none")
-    outputs = estimates(feed(pipeline, moved))
-    assert time_values(pipeline)["restarts"] == str(int(step_s < -2.0))
+    localizer = make_localizer(encoder_source=source, adaptation="none")
+    outputs = estimates(feed(localizer, moved))
+    assert time_values(localizer)["restarts"] == str(int(step_s < -2.0))
     assert len(outputs) > 85
     last = outputs[-1].estimate
     assert last is not None
@@ -81,13 +81,13 @@ def test_simulated_time_may_begin_at_0() -> None:
         )
         for a in arrivals
     ]
-    pipeline = make_pipeline(**JOINTS)
-    outputs = feed(pipeline, moved)
+    localizer = make_localizer(**JOINTS)
+    outputs = feed(localizer, moved)
     assert min(output.stamp_ns for output in outputs) >= 0
     shifted = [
         output._replace(stamp_ns=output.stamp_ns + START_NS) for output in estimates(outputs)
     ]
-    same_estimates(shifted, estimates(feed(make_pipeline(**JOINTS), arrivals)))
+    same_estimates(shifted, estimates(feed(make_localizer(**JOINTS), arrivals)))
 
 
 @pytest.mark.parametrize(("ahead_s", "kept"), [(0.9, True), (1.1, False)])
@@ -101,12 +101,12 @@ def test_a_position_from_the_future_does_not_close_what_is_open(ahead_s: float, 
         Arrival(now, a.event._replace(stamp_ns=now + round(ahead_s * 1e9)))
         for a in before[-12:] if isinstance(a.event, WheelCount)
     ][-2:]  # fmt: skip
-    pipeline = make_pipeline(adaptation="none", **JOINTS)
-    outputs = feed(pipeline, [*before, *wrong, *(a for a in run.arrivals if a.now_ns > now)])
-    assert [o.stamp_ns for o in feed(make_pipeline(**JOINTS), run.arrivals)] == [
+    localizer = make_localizer(adaptation="none", **JOINTS)
+    outputs = feed(localizer, [*before, *wrong, *(a for a in run.arrivals if a.now_ns > now)])
+    assert [o.stamp_ns for o in feed(make_localizer(**JOINTS), run.arrivals)] == [
         o.stamp_ns for o in outputs
     ]
-    assert time_values(pipeline)["dropped"] == ("0" if kept else "2")
+    assert time_values(localizer)["dropped"] == ("0" if kept else "2")
     for output in estimates(outputs):
         assert output.estimate is not None
         error = output.estimate.state.mean[:2] - run.truth[output.stamp_ns][:2]

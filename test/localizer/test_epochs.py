@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from circle_drives import BEGIN_NS, MS, compass, in_time, pose_at, readings
-from localizers import SECOND_NS, estimates, feed, joints_pipeline, same_estimates, statuses
+from localizers import SECOND_NS, estimates, feed, joints_localizer, same_estimates, statuses
 
 from fnn_ekf_ros.core import filter as filter_module
 from fnn_ekf_ros.core.angles import wrap_angle
@@ -29,7 +29,7 @@ SHARED_NS = 3 * SECOND_NS
 def test_a_sensor_that_is_too_fast_is_thinned_and_told(sensor: str) -> None:
     rates = {"compass_hz": 500.0} if sensor == "compass" else {"fix_hz": 500.0}
     arrivals = in_time(readings(3.0, **rates), 3.0)
-    ran = joints_pipeline(adaptation="none")
+    ran = joints_localizer(adaptation="none")
     outputs = feed(ran, arrivals)
     told = [s for s in statuses(outputs, sensor) if "too fast" in s.message]
     assert len(told) >= 2
@@ -60,7 +60,7 @@ def test_a_sensor_that_is_too_fast_is_thinned_and_told(sensor: str) -> None:
 def test_a_fast_sensor_is_not_thinned(rate_hz: float, period: float) -> None:
     """Up to 250 Hz; 0.29 s times 200 Hz is a little less than 58 in floating point."""
     arrivals = in_time(readings(2.5, compass_hz=rate_hz, offset_ns=700), 2.5)
-    outputs = feed(joints_pipeline(adaptation="none", period=period), arrivals)
+    outputs = feed(joints_localizer(adaptation="none", period=period), arrivals)
     reports = statuses(outputs, "compass")
     assert len(reports) >= 2
     for status in reports:
@@ -91,7 +91,7 @@ def test_a_burst_of_a_very_fast_compass_is_bounded_work(
     ]
     arrivals = in_time([*readings(4.0), *burst], 4.0)
     outputs, most = [], 0
-    ran = joints_pipeline(adaptation=mode)
+    ran = joints_localizer(adaptation=mode)
     for now_ns, event in arrivals:
         before = calls[0]
         closed = ran.add(event, now_ns)
@@ -118,7 +118,7 @@ def shared() -> Callable[..., dict[int, tuple[FloatArray, FloatArray, FloatArray
 
     def run(period: float, mode: str, seconds: float) -> Any:
         arrivals = in_time(readings(seconds, offset_ns=10 * MS + 13), seconds)
-        outputs = estimates(feed(joints_pipeline(period=period, adaptation=mode), arrivals))
+        outputs = estimates(feed(joints_localizer(period=period, adaptation=mode), arrivals))
         assert outputs[0].stamp_ns == BEGIN_NS  # it starts with its first readings
         states = {o.stamp_ns: o.estimate.state for o in outputs if o.estimate is not None}
         return {
@@ -179,7 +179,7 @@ def test_short_periods_mean_no_more_learning(monkeypatch: pytest.MonkeyPatch) ->
     learned = []
     for period in (0.02, 0.375):
         calls[0] = 0
-        outputs = estimates(feed(joints_pipeline(period=period, adaptation="joint"), arrivals))
+        outputs = estimates(feed(joints_localizer(period=period, adaptation="joint"), arrivals))
         assert outputs[-1].stamp_ns >= BEGIN_NS + 6 * SECOND_NS
         learned.append(calls[0])
     assert learned[0] == learned[1]
@@ -208,7 +208,7 @@ def test_readings_that_come_late_and_in_any_order_count_as_if_they_had_come_in_t
     assert since > BEGIN_NS + 5 * SECOND_NS
     ran = []
     for arrivals in (prompt, late):
-        outputs = feed(joints_pipeline(**settings), arrivals)
+        outputs = feed(joints_localizer(**settings), arrivals)
         ran.append([o for o in outputs if o.stamp_ns > since])
     assert ran[0]
     same_estimates(*ran)
@@ -226,7 +226,7 @@ def test_the_papers_adaptation_takes_one_step_a_period_from_the_last_reading_of_
 
     monkeypatch.setattr(filter_module, "adapt", recorded)
     arrivals = in_time(readings(6.0, 20.0, 6.0, offset_ns=3 * MS), 6.0)
-    ran = joints_pipeline(
+    ran = joints_localizer(
         adaptation="rq", innovation_window=5, measurement_noise_std=[0.3, 0.3, 0.3]
     )
     outputs = [o.estimate for o in estimates(feed(ran, arrivals))]

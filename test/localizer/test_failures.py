@@ -15,7 +15,7 @@ from localizers import (
     START_NS,
     estimates,
     feed,
-    make_pipeline,
+    make_localizer,
     same_estimates,
     simulated,
     status_at_end,
@@ -60,7 +60,7 @@ def test_a_period_that_fails_is_predicted_by_the_wheels(
         a for a in arrivals
         if isinstance(a.event, WheelCount) or not bad - PERIOD_NS < a.event.stamp_ns <= bad
     ]  # fmt: skip
-    expected = feed(make_pipeline(**JOINTS), without)
+    expected = feed(make_localizer(**JOINTS), without)
     fixes = [a.event for a in arrivals if isinstance(a.event, PoseFix) and a.event.stamp_ns == bad]
     x = fixes[0].pose[0]
 
@@ -75,10 +75,10 @@ def test_a_period_that_fails_is_predicted_by_the_wheels(
 
     with monkeypatch.context() as patch:
         patch.setattr(InputBuffer, "period", blind)
-        blinded = feed(make_pipeline(**JOINTS), arrivals)
+        blinded = feed(make_localizer(**JOINTS), arrivals)
     breaking(monkeypatch, fails, error)
-    pipeline = make_pipeline(**JOINTS)
-    outputs = feed(pipeline, arrivals)
+    localizer = make_localizer(**JOINTS)
+    outputs = feed(localizer, arrivals)
     same_estimates(outputs, blinded)
     same_estimates(*([o for o in each if o.stamp_ns < bad] for each in (outputs, expected)))
     assert len(outputs) == len(expected)
@@ -89,20 +89,20 @@ def test_a_period_that_fails_is_predicted_by_the_wheels(
     said = [s for s in statuses(outputs, "filter") if "failed" in s.message]
     assert [status.level for status in said] == [Level.WARN]
     assert said[0].message == "a period failed: its measurements are left out"
-    values = dict(status_at_end(pipeline, "filter").values)
+    values = dict(status_at_end(localizer, "filter").values)
     assert values["periods that failed"] == "1"
     assert values["reason of the last failure"] == "the test's numbers"
     assert values["end of the last period that failed [s]"] == f"{bad * 1e-9:.3f}"
-    assert time_values(pipeline)["restarts"] == "0"
+    assert time_values(localizer)["restarts"] == "0"
 
 
 def test_a_filter_that_fails_on_the_wheels_alone_starts_anew_with_its_noise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     arrivals = simulated(12, 30.0, "joint_states").arrivals
-    pipeline = make_pipeline(adaptation="r", measurement_noise_std=[0.4, 0.4, 0.5], **JOINTS)
+    localizer = make_localizer(adaptation="r", measurement_noise_std=[0.4, 0.4, 0.5], **JOINTS)
     half = len(arrivals) // 2
-    before = feed(pipeline, arrivals[:half])[-1].estimate
+    before = feed(localizer, arrivals[:half])[-1].estimate
     assert before is not None
     failing = [True]
     breaking(monkeypatch, lambda *_: bool(failing[0]), FloatingPointError)
@@ -110,19 +110,19 @@ def test_a_filter_that_fails_on_the_wheels_alone_starts_anew_with_its_noise(
     lost = []
     while not lost:
         a = rest.pop(0)
-        lost = pipeline.add(a.event, a.now_ns)
+        lost = localizer.add(a.event, a.now_ns)
     assert [output.estimate for output in lost] == [None]
-    said = [*statuses(lost, "filter"), status_at_end(pipeline, "filter")]
+    said = [*statuses(lost, "filter"), status_at_end(localizer, "filter")]
     assert said[0].level is Level.WARN
     assert "starts anew" in said[0].message
     failing[0] = False
-    found = estimates(feed(pipeline, rest))
+    found = estimates(feed(localizer, rest))
     assert len(found) > 30
     assert found[0].estimate is not None
     np.testing.assert_array_equal(
         found[0].estimate.state.measurement_noise, before.state.measurement_noise
     )
-    assert status_at_end(pipeline, "filter").level is Level.OK
+    assert status_at_end(localizer, "filter").level is Level.OK
 
 
 @pytest.mark.slow
@@ -141,7 +141,9 @@ def test_a_state_that_is_no_longer_finite_is_not_gone_on_with(
 
     number = [40]
     monkeypatch.setattr(history, "run_period", run)
-    outputs = estimates(feed(make_pipeline(**JOINTS), simulated(12, 30.0, "joint_states").arrivals))
+    outputs = estimates(
+        feed(make_localizer(**JOINTS), simulated(12, 30.0, "joint_states").arrivals)
+    )
     assert number[0] < -20
     for output in outputs:
         assert output.estimate is not None
@@ -157,7 +159,7 @@ def test_without_any_measurement_the_covariance_grows(adaptation: str) -> None:
     arrivals = simulated(12, 60.0, "joint_states").arrivals
     since = START_NS + 20 * SECOND_NS
     blind = [a for a in arrivals if isinstance(a.event, WheelCount) or a.now_ns < since]
-    outputs = estimates(feed(make_pipeline(adaptation=adaptation, **JOINTS), blind))
+    outputs = estimates(feed(make_localizer(adaptation=adaptation, **JOINTS), blind))
     late = [o.estimate.state for o in outputs if o.estimate and o.stamp_ns > since]
     assert len(late) > 100
     assert np.all(np.diff([np.linalg.det(state.covariance) for state in late]) > 0.0)
@@ -183,10 +185,10 @@ def test_what_fixes_have_measured_while_the_wheels_were_silent_is_not_counted_ag
             isinstance(each.event, WheelCount) and 20.0 < (each.now_ns - START_NS) * 1e-9 < 40.0
         )
     ]
-    pipeline = make_pipeline(encoder_source=source, adaptation=adaptation)
+    localizer = make_localizer(encoder_source=source, adaptation=adaptation)
     errors = [
         np.hypot(*(output.estimate.state.mean - run.truth[output.stamp_ns])[:2])
-        for output in estimates(feed(pipeline, silent))
+        for output in estimates(feed(localizer, silent))
         if output.stamp_ns in run.truth and output.stamp_ns > START_NS + 39 * SECOND_NS
     ]
     assert len(errors) > 40
@@ -205,7 +207,7 @@ def test_without_fixes_the_way_of_silent_wheels_is_counted_when_they_speak_again
         or not isinstance(each.event, PoseFix | WheelCount)
         or (isinstance(each.event, WheelCount) and each.now_ns > before + 5 * SECOND_NS)
     ]
-    outputs = estimates(feed(make_pipeline(adaptation="none"), blind))
+    outputs = estimates(feed(make_localizer(adaptation="none"), blind))
     at = {output.stamp_ns: output.estimate.state.mean for output in outputs}
     after = before + 6 * SECOND_NS
     moved = (at[after] - at[before])[:2]
@@ -216,7 +218,7 @@ def test_without_fixes_the_way_of_silent_wheels_is_counted_when_they_speak_again
 
 def test_a_clock_that_jumps_ahead_is_told() -> None:
     run = simulated(23, 20.0)
-    pipeline = make_pipeline()
+    localizer = make_localizer()
     late = START_NS + 10 * SECOND_NS
     jumped = [
         each._replace(
@@ -227,6 +229,6 @@ def test_a_clock_that_jumps_ahead_is_told() -> None:
         else each
         for each in run.arrivals
     ]
-    said = [s.message for s in statuses(feed(pipeline, jumped), "time") if s.level is Level.WARN]
+    said = [s.message for s in statuses(feed(localizer, jumped), "time") if s.level is Level.WARN]
     assert "the clock jumped ahead, or no message arrived for a while" in said
-    assert time_values(pipeline)["restarts"] == "0"
+    assert time_values(localizer)["restarts"] == "0"

@@ -48,7 +48,7 @@ class Victim:
 
     def __init__(self, parameters: LocalizerParameters) -> None:
         self.parameters = parameters
-        self.pipeline = Localizer(parameters, networks_for(parameters))
+        self.localizer = Localizer(parameters, networks_for(parameters))
         self.estimates = 0
         self.refused = 0
         self.truth: deque[Truth] = deque(maxlen=200)
@@ -67,7 +67,7 @@ class Victim:
             return
         self._see_clock(sent.now_ns)
         message = as_object(sent.message)
-        outputs, rejected = self.pipeline.receive(sent.topic, message, sent.now_ns)
+        outputs, rejected = self.localizer.receive(sent.topic, message, sent.now_ns)
         if rejected is not None:
             assert 0 < len(rejected.reason) < 500
             assert rejected.reason.isprintable(), rejected.reason
@@ -77,10 +77,10 @@ class Victim:
     def command(self, command: Command) -> None:
         """A service call, or parameters that can change at run time."""
         if command.name == "reset":
-            self.pipeline.reset()
+            self.localizer.reset()
             self._last_ns = None
         elif command.name in ("hold", "learn"):
-            self.pipeline.enable_adaptation(command.name == "learn")
+            self.localizer.enable_adaptation(command.name == "learn")
         else:
             self._change(np.random.default_rng(command.number))
 
@@ -101,7 +101,7 @@ class Victim:
         }
         now = {name: getattr(p, name) for name in p.__dataclass_fields__}
         self.parameters = build(LocalizerParameters, now | values)
-        self.pipeline.change(self.parameters, networks_for(self.parameters))
+        self.localizer.change(self.parameters, networks_for(self.parameters))
         low, high = bounds_of(self.parameters)
         # What was adapted before stays until it is adapted again.
         self._low, self._high = np.minimum(low, self._low), np.maximum(high, self._high)

@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import PERIOD_NS, Arrival, estimates, feed, make_pipeline, same_estimates, simulated
+from localizers import (
+    PERIOD_NS,
+    Arrival,
+    estimates,
+    feed,
+    make_localizer,
+    same_estimates,
+    simulated,
+)
 from textbook_ekf import textbook_step
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
@@ -39,10 +47,10 @@ def means(outputs: list[Output]) -> FloatArray:
     return np.array([o.estimate.state.mean for o in outputs if o.estimate is not None])
 
 
-def stand(pipeline: Localizer, begin_ns: int) -> None:
+def stand(localizer: Localizer, begin_ns: int) -> None:
     """Have both wheels known at a period's begin, and all periods closed until then."""
     for event in ticks(begin_ns, 0, 0):
-        pipeline.add(event, begin_ns)
+        localizer.add(event, begin_ns)
 
 
 def arc_pose(speed: float, rate: float, time: float) -> FloatArray:
@@ -60,7 +68,7 @@ def arc_pose(speed: float, rate: float, time: float) -> FloatArray:
 @pytest.mark.slow
 def test_periods_end_at_integer_multiples(period: float, start_ns: int) -> None:
     events = [e for i in range(200) for e in ticks(start_ns + i * 70_000_000, i, i)]
-    outputs = feed(make_pipeline(period=period, **AT_ORIGIN), in_time(events))
+    outputs = feed(make_localizer(period=period, **AT_ORIGIN), in_time(events))
     stamps = [output.stamp_ns for output in estimates(outputs)]
     period_ns = round(period * 1e9)
     first = (start_ns - 1) // period_ns + 1  # both wheels are known at its end
@@ -71,12 +79,12 @@ def test_periods_end_at_integer_multiples(period: float, start_ns: int) -> None:
 
 def test_an_event_on_a_boundary_belongs_to_the_period_that_ends_there() -> None:
     boundary = 20 * PERIOD_NS
-    pipeline = make_pipeline(**AT_ORIGIN)
-    stand(pipeline, boundary - PERIOD_NS)
-    outputs = pipeline.add(ticks(boundary, 0, 0)[0], boundary)
-    outputs += pipeline.add(CompassYaw(boundary, 0.5), boundary)
+    localizer = make_localizer(**AT_ORIGIN)
+    stand(localizer, boundary - PERIOD_NS)
+    outputs = localizer.add(ticks(boundary, 0, 0)[0], boundary)
+    outputs += localizer.add(CompassYaw(boundary, 0.5), boundary)
     assert outputs == []
-    (output,) = pipeline.add(ticks(boundary, 0, 0)[1], boundary)
+    (output,) = localizer.add(ticks(boundary, 0, 0)[1], boundary)
     assert output.stamp_ns == boundary
     assert output.estimate is not None
     assert output.estimate.result is not None
@@ -85,16 +93,16 @@ def test_an_event_on_a_boundary_belongs_to_the_period_that_ends_there() -> None:
 
 @pytest.mark.parametrize("first", list(Wheel))
 def test_a_period_closes_when_both_wheels_are_known(first: Wheel) -> None:
-    pipeline = make_pipeline(**AT_ORIGIN)
+    localizer = make_localizer(**AT_ORIGIN)
     begin, second = 10 * PERIOD_NS, Wheel(1 - first)
-    stand(pipeline, begin)
+    stand(localizer, begin)
     for stamp in (begin + 1, begin + PERIOD_NS // 2, begin + PERIOD_NS - 1):
         for wheel in Wheel:
-            assert pipeline.add(WheelCount(stamp, wheel, 0), stamp) == []
+            assert localizer.add(WheelCount(stamp, wheel, 0), stamp) == []
     after = begin + PERIOD_NS + 1000
-    assert pipeline.add(WheelCount(after, first, 0), after) == []
-    assert pipeline.add(WheelCount(begin + PERIOD_NS - 1, second, 0), after + 1) == []
-    outputs = pipeline.add(WheelCount(begin + PERIOD_NS, second, 0), after + 2)
+    assert localizer.add(WheelCount(after, first, 0), after) == []
+    assert localizer.add(WheelCount(begin + PERIOD_NS - 1, second, 0), after + 1) == []
+    outputs = localizer.add(WheelCount(begin + PERIOD_NS, second, 0), after + 2)
     assert [output.stamp_ns for output in outputs] == [begin + PERIOD_NS]
 
 
@@ -103,34 +111,34 @@ def test_a_period_closes_when_both_wheels_are_known(first: Wheel) -> None:
 def test_a_period_closes_without_the_wheels_after_the_timeout(
     timeout: float, speaking: list[Wheel]
 ) -> None:
-    pipeline = make_pipeline(encoder_timeout=timeout, **AT_ORIGIN)
+    localizer = make_localizer(encoder_timeout=timeout, **AT_ORIGIN)
     begin = 10 * PERIOD_NS
-    stand(pipeline, begin)
+    stand(localizer, begin)
     deadline = begin + PERIOD_NS + seconds(timeout)
     for wheel in speaking:
-        assert pipeline.add(WheelCount(deadline - 1, wheel, 0), deadline - 1) == []
-    assert pipeline.advance(deadline - 1) == []
-    assert [output.stamp_ns for output in pipeline.advance(deadline)] == [begin + PERIOD_NS]
-    assert pipeline.advance(deadline + PERIOD_NS - 1) == []
-    assert len(pipeline.advance(deadline + 3 * PERIOD_NS)) == 3
+        assert localizer.add(WheelCount(deadline - 1, wheel, 0), deadline - 1) == []
+    assert localizer.advance(deadline - 1) == []
+    assert [output.stamp_ns for output in localizer.advance(deadline)] == [begin + PERIOD_NS]
+    assert localizer.advance(deadline + PERIOD_NS - 1) == []
+    assert len(localizer.advance(deadline + 3 * PERIOD_NS)) == 3
 
 
 def test_a_period_closes_without_the_wheels_and_takes_what_was_measured() -> None:
-    pipeline = make_pipeline(**AT_ORIGIN)
+    localizer = make_localizer(**AT_ORIGIN)
     boundary = 10 * PERIOD_NS
-    stand(pipeline, boundary - PERIOD_NS)
-    assert pipeline.add(CompassYaw(boundary, 0.4), boundary) == []
-    assert pipeline.advance(boundary + TIMEOUT_NS - 1) == []
-    (output,) = pipeline.advance(boundary + TIMEOUT_NS)
+    stand(localizer, boundary - PERIOD_NS)
+    assert localizer.add(CompassYaw(boundary, 0.4), boundary) == []
+    assert localizer.advance(boundary + TIMEOUT_NS - 1) == []
+    (output,) = localizer.advance(boundary + TIMEOUT_NS)
     assert output.estimate is not None
     assert output.estimate.state.mean[2] > 0.1
 
 
 def test_several_periods_close_at_once_in_order() -> None:
-    pipeline = make_pipeline(encoder_timeout=10.0, **AT_ORIGIN)
-    stand(pipeline, 10 * PERIOD_NS)
+    localizer = make_localizer(encoder_timeout=10.0, **AT_ORIGIN)
+    stand(localizer, 10 * PERIOD_NS)
     stamp = 15 * PERIOD_NS + 1
-    outputs = [o for event in ticks(stamp, 50, 50) for o in pipeline.add(event, stamp)]
+    outputs = [o for event in ticks(stamp, 50, 50) for o in localizer.add(event, stamp)]
     assert [o.stamp_ns for o in outputs] == [n * PERIOD_NS for n in range(11, 16)]
     ways = np.diff(means(outputs)[:, 0])
     np.testing.assert_allclose(ways, 10.0 * METERS_PER_COUNT, rtol=1e-6)
@@ -147,7 +155,7 @@ def test_each_wheel_is_interpolated_linearly_on_its_own() -> None:
     ]
     arrivals = sorted(in_time(events), key=lambda a: a.now_ns)
     # In the first period the wheels count from when both have spoken.
-    outputs = estimates(feed(make_pipeline(**AT_ORIGIN), arrivals))[1:]
+    outputs = estimates(feed(make_localizer(**AT_ORIGIN), arrivals))[1:]
     assert len(outputs) > 10
     ends = np.array([output.stamp_ns for output in outputs])
     begins = ends - PERIOD_NS
@@ -180,7 +188,7 @@ def test_a_counter_that_wraps_does_not_move_the_robot(bits: int, start: int) -> 
             ticks(seconds(3.0 + 0.05 * number), *(wrapped(start + 7 * number, bits, True),) * 2),
         )
     ]
-    outputs = estimates(feed(make_pipeline(encoder_bits=bits, **AT_ORIGIN), arrivals))
+    outputs = estimates(feed(make_localizer(encoder_bits=bits, **AT_ORIGIN), arrivals))
     expected = [7 * METERS_PER_COUNT * 7.5 * i for i in range(len(outputs))]
     np.testing.assert_allclose(means(outputs)[:, 0], expected, atol=1e-7)
     np.testing.assert_array_equal(means(outputs)[:, 1:], 0.0)
@@ -196,9 +204,11 @@ def test_inverted_wheels_count_backwards(left: bool, right: bool) -> None:
         shown = (wrapped(c * (-1 if i else 1), 8, True) for c, i in
                  zip(counts, (left, right), strict=True))  # fmt: skip
         inverted += in_time(ticks(stamp, *shown))
-    pipeline = make_pipeline(encoder_bits=8, left_inverted=left, right_inverted=right, **AT_ORIGIN)
-    outputs = feed(pipeline, inverted)
-    same_estimates(outputs, feed(make_pipeline(**AT_ORIGIN), plain))
+    localizer = make_localizer(
+        encoder_bits=8, left_inverted=left, right_inverted=right, **AT_ORIGIN
+    )
+    outputs = feed(localizer, inverted)
+    same_estimates(outputs, feed(make_localizer(**AT_ORIGIN), plain))
     assert means(outputs)[-1, 0] != 0.0
     assert means(outputs)[-1, 2] < 0.0
 
@@ -207,7 +217,7 @@ def test_inverted_wheels_count_backwards(left: bool, right: bool) -> None:
 def test_joint_states_give_what_ticks_give() -> None:
     ran = {
         source: feed(
-            make_pipeline(encoder_source=source, adaptation="r"),
+            make_localizer(encoder_source=source, adaptation="r"),
             simulated(11, 30.0, source).arrivals,
         )
         for source in ("ticks", "joint_states")
@@ -230,8 +240,8 @@ def test_a_joint_is_the_wheel_behind_the_gear(gear_ratio: float) -> None:
             Arrival(stamp, WheelCount(stamp, w, r)) for w, r in zip(Wheel, radians, strict=True)
         ]
     changes = AT_ORIGIN | {"gear_ratio": gear_ratio}
-    first = means(feed(make_pipeline(**changes), by_ticks))
-    second = means(feed(make_pipeline(encoder_source="joint_states", **changes), by_joints))
+    first = means(feed(make_localizer(**changes), by_ticks))
+    second = means(feed(make_localizer(encoder_source="joint_states", **changes), by_joints))
     np.testing.assert_allclose(first, second, atol=1e-12)
     assert first[-1, 0] > 0.5
 
@@ -270,7 +280,7 @@ def test_every_measurement_in_a_period_counts_at_its_own_time() -> None:
     hasty.sort(key=lambda a: (a.now_ns, isinstance(a.event, WheelCount), -a.event.stamp_ns))
     settings = {"adaptation": "none", "motion_model": "exact_arc", **AT_ORIGIN}
     settings |= {"compass_gate": 0.0, "lrf_pose_gate": 0.0}
-    outputs = feed(make_pipeline(**settings), arrivals)
+    outputs = feed(make_localizer(**settings), arrivals)
     found = [o.estimate for o in estimates(outputs) if o.stamp_ns > begin]
     assert len(found) == len(expected) == 12
     for estimate, (x, P) in zip(found, expected, strict=True):
@@ -279,7 +289,7 @@ def test_every_measurement_in_a_period_counts_at_its_own_time() -> None:
         np.testing.assert_allclose(estimate.state.covariance, P, atol=1e-9)
         assert estimate.result is not None
         assert estimate.result.degrees_of_freedom == 3 * 1 + 3 * 2
-    same_estimates(feed(make_pipeline(**settings), hasty), outputs)
+    same_estimates(feed(make_localizer(**settings), hasty), outputs)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4, -1.2])
@@ -299,10 +309,10 @@ def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(r
             events.append(CompassYaw(stamp, arc_pose(speed, rate, time)[2]))
         events += [WheelCount(stamp, w, way / 0.025) for w, way in zip(Wheel, ways, strict=True)]
         arrivals += in_time(events)
-    pipeline = make_pipeline(
+    localizer = make_localizer(
         encoder_source="joint_states", lrf_use_yaw=True, **AT_ORIGIN, motion_model="exact_arc"
     )
-    outputs = estimates(feed(pipeline, arrivals))[1:]
+    outputs = estimates(feed(localizer, arrivals))[1:]
     assert len(outputs) > 35
     for output in outputs:
         assert output.estimate is not None
@@ -323,8 +333,8 @@ def test_measurements_inside_a_period_are_compared_with_the_pose_at_their_time(r
 def test_a_missing_sensor_drops_its_rows_only(missing: Any, rows: list[Row], freedom: int) -> None:
     """The compass speaks three times a period."""
     arrivals = [a for a in simulated(11, 30.0).arrivals if not isinstance(a.event, missing)]
-    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0], adaptation="q")
-    outputs = estimates(feed(pipeline, arrivals))
+    localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0], adaptation="q")
+    outputs = estimates(feed(localizer, arrivals))
     assert len(outputs) > 70
     for output in outputs[1:-1]:
         assert output.estimate is not None
@@ -341,7 +351,7 @@ def test_a_missing_sensor_drops_its_rows_only(missing: Any, rows: list[Row], fre
 def test_without_any_measurement_the_robot_is_where_the_wheels_say() -> None:
     run = simulated(2, 40.0, slip_std=(0.0, 0.0), wheel_speed_error=0.05)
     arrivals = [a for a in run.arrivals if isinstance(a.event, WheelCount)]
-    outputs = estimates(feed(make_pipeline(initial_pose=[0.0, 0.0, 0.0]), arrivals))
+    outputs = estimates(feed(make_localizer(initial_pose=[0.0, 0.0, 0.0]), arrivals))
     assert len(outputs) > 95
     spreads = []
     for output in outputs:
@@ -355,13 +365,13 @@ def test_without_any_measurement_the_robot_is_where_the_wheels_say() -> None:
 
 
 def test_compass_offset_is_added() -> None:
-    pipeline = make_pipeline(compass_offset=0.25)
+    localizer = make_localizer(compass_offset=0.25)
     boundary = 10 * PERIOD_NS
     for event in ticks(boundary - PERIOD_NS, 0, 0):
-        pipeline.add(event, event.stamp_ns)
-    pipeline.add(PoseFix(boundary, np.zeros(3), np.eye(3)), boundary)
-    pipeline.add(CompassYaw(boundary, 3.1), boundary)
-    outputs = [o for e in ticks(boundary, 0, 0) for o in pipeline.add(e, boundary)]
+        localizer.add(event, event.stamp_ns)
+    localizer.add(PoseFix(boundary, np.zeros(3), np.eye(3)), boundary)
+    localizer.add(CompassYaw(boundary, 3.1), boundary)
+    outputs = [o for e in ticks(boundary, 0, 0) for o in localizer.add(e, boundary)]
     assert outputs[0].estimate is not None
     assert outputs[0].estimate.state.mean[2] == pytest.approx(3.35 - 2.0 * math.pi)
 
@@ -370,8 +380,8 @@ def test_compass_offset_is_added() -> None:
 def test_process_noise_grows_with_the_period(period: float) -> None:
     """After the same time without measurements the heading is equally uncertain."""
     events = [e for i in range(100) for e in ticks(seconds(3.0 + 0.15 * i), 0, 0)]
-    pipeline = make_pipeline(period=period, **AT_ORIGIN)
-    outputs = estimates(feed(pipeline, in_time(events)))
+    localizer = make_localizer(period=period, **AT_ORIGIN)
+    outputs = estimates(feed(localizer, in_time(events)))
     assert outputs
     for output in outputs:
         assert output.estimate is not None

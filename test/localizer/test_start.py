@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import PERIOD_NS, joints_pipeline, make_pipeline, simulated
+from localizers import PERIOD_NS, joints_localizer, make_localizer, simulated
 from textbook_ekf import textbook_step
 
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -57,16 +57,16 @@ def compass(stamp_ns: int, error: float = 0.0) -> CompassYaw:
     return CompassYaw(stamp_ns, float(pose_at(stamp_ns)[2]) + error)
 
 
-def drive(pipeline: Localizer, measurements: Sequence[Event], periods: int) -> list[Output]:
+def drive(localizer: Localizer, measurements: Sequence[Event], periods: int) -> list[Output]:
     """Drive on the circle; every measurement comes at its stamp."""
     outputs = []
     waiting = sorted(measurements, key=lambda event: event.stamp_ns)
     for stamp in range(START_NS, START_NS + periods * PERIOD_NS + 1, STEP_NS):
         while waiting and waiting[0].stamp_ns <= stamp:
-            outputs += pipeline.add(waiting.pop(0), stamp)
+            outputs += localizer.add(waiting.pop(0), stamp)
         time = (stamp - START_NS) * 1e-9
         for wheel, way in zip(Wheel, (SPEED - 0.3 * RATE, SPEED + 0.3 * RATE), strict=True):
-            outputs += pipeline.add(WheelCount(stamp, wheel, way * time / 0.025), stamp)
+            outputs += localizer.add(WheelCount(stamp, wheel, way * time / 0.025), stamp)
     return outputs
 
 
@@ -116,7 +116,7 @@ def carried() -> Callable[[int, FloatArray, int], FloatArray]:
     ids=["nothing", "compass only", "fixes only"],
 )
 def test_no_estimate_until_position_and_yaw_are_known(measurements: list[Event]) -> None:
-    outputs = drive(joints_pipeline(), measurements, 9)
+    outputs = drive(joints_localizer(), measurements, 9)
     assert len(outputs) >= 10
     assert all(output.estimate is None for output in outputs)
     reports = [
@@ -129,7 +129,7 @@ def test_no_estimate_until_position_and_yaw_are_known(measurements: list[Event])
 
 @pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
 def test_no_estimate_without_both_wheels(speaking: list[Wheel]) -> None:
-    ran, outputs = joints_pipeline(), []
+    ran, outputs = joints_localizer(), []
     for number in range(1, 9):
         stamp = START_NS + number * PERIOD_NS
         for wheel in speaking:
@@ -142,7 +142,7 @@ def test_no_estimate_without_both_wheels(speaking: list[Wheel]) -> None:
 
 def test_what_is_missing_is_named() -> None:
     def message(measurements: list[Event]) -> str:
-        ran = joints_pipeline()
+        ran = joints_localizer()
         drive(ran, measurements, 5)
         return next(s.message for s in ran.report() if s.name == "filter")
 
@@ -156,7 +156,7 @@ def test_what_is_missing_is_named() -> None:
 def test_it_starts_with_the_covariance_of_the_measurements(carried: Any, offset: int) -> None:
     """At their time; from there to the period's end it is a filter as any other."""
     stamp = START_NS + 3 * PERIOD_NS + offset
-    estimate = first_estimate(drive(joints_pipeline(), [fix(stamp), compass(stamp)], 6))
+    estimate = first_estimate(drive(joints_localizer(), [fix(stamp), compass(stamp)], 6))
     assert estimate.stamp_ns == START_NS + 3 * PERIOD_NS
     expected = carried(stamp, np.diag(R), estimate.stamp_ns)
     np.testing.assert_allclose(estimate.state.covariance, expected, rtol=1e-9, atol=1e-15)
@@ -175,7 +175,7 @@ def test_measurements_that_never_share_a_period_are_carried_by_the_wheels(
     measurements: list[Event] = [fix(early), compass(late)]
     if first == "compass":
         measurements = [compass(early), fix(late)]
-    outputs = drive(joints_pipeline(), measurements, apart + 6)
+    outputs = drive(joints_localizer(), measurements, apart + 6)
     estimate = first_estimate(outputs)
     assert estimate.stamp_ns == START_NS + (2 + apart) * PERIOD_NS
     np.testing.assert_allclose(estimate.state.mean, pose_at(estimate.stamp_ns), atol=1e-9)
@@ -197,7 +197,7 @@ def test_while_waiting_the_newest_of_each_counts() -> None:
     wrong = PoseFix(START_NS + PERIOD_NS, np.array([50.0, 60.0, 0.0]), REPORTED)
     start = START_NS + 5 * PERIOD_NS
     estimate = first_estimate(
-        drive(joints_pipeline(), [wrong, fix(start - PERIOD_NS), compass(start)], 7)
+        drive(joints_localizer(), [wrong, fix(start - PERIOD_NS), compass(start)], 7)
     )
     np.testing.assert_allclose(estimate.state.mean, pose_at(start), atol=1e-9)
     np.testing.assert_allclose(estimate.state.covariance[0, 0], R[0] + FORWARD_VARIANCE)
@@ -207,7 +207,7 @@ def test_while_waiting_the_newest_of_each_counts() -> None:
 def test_the_starting_yaw_is_wrapped(yaw: float) -> None:
     stamp = START_NS + 2 * PERIOD_NS
     measurements = [fix(stamp), CompassYaw(stamp, yaw)]
-    estimate = first_estimate(drive(joints_pipeline(compass_offset=1.0), measurements, 3))
+    estimate = first_estimate(drive(joints_localizer(compass_offset=1.0), measurements, 3))
     wrapped = float(estimate.state.mean[2])
     assert -math.pi < wrapped <= math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(yaw + 1.0))
@@ -216,7 +216,7 @@ def test_the_starting_yaw_is_wrapped(yaw: float) -> None:
 
 def test_fixes_with_yaw_start_it_alone() -> None:
     stamp = START_NS + 2 * PERIOD_NS
-    ran = joints_pipeline(lrf_use_yaw=True, lrf_yaw_std=0.2)
+    ran = joints_localizer(lrf_use_yaw=True, lrf_yaw_std=0.2)
     estimate = first_estimate(drive(ran, [fix(stamp)], 5))
     assert estimate.stamp_ns == stamp
     np.testing.assert_allclose(estimate.state.mean, pose_at(stamp), atol=1e-9)
@@ -226,7 +226,7 @@ def test_fixes_with_yaw_start_it_alone() -> None:
 @pytest.mark.parametrize("use_yaw", [False, True])
 def test_reported_covariances_start_it_where_they_are_used(use_yaw: bool) -> None:
     stamp = START_NS + 2 * PERIOD_NS
-    ran = joints_pipeline(lrf_use_message_covariance=True, lrf_use_yaw=use_yaw)
+    ran = joints_localizer(lrf_use_message_covariance=True, lrf_use_yaw=use_yaw)
     measurements: list[Event] = [fix(stamp)] if use_yaw else [fix(stamp), compass(stamp)]
     estimate = first_estimate(drive(ran, measurements, 4))
     expected = REPORTED.copy()
@@ -236,7 +236,7 @@ def test_reported_covariances_start_it_where_they_are_used(use_yaw: bool) -> Non
 
 def test_from_an_initial_pose_it_starts_when_both_wheels_are_known() -> None:
     std = [0.3, 0.2, 0.1]
-    ran = joints_pipeline(initial_pose=list(pose_at(START_NS)), initial_pose_std=std)
+    ran = joints_localizer(initial_pose=list(pose_at(START_NS)), initial_pose_std=std)
     outputs = drive(ran, [], 6)
     estimate = first_estimate(outputs)
     assert estimate.stamp_ns == START_NS
@@ -250,7 +250,7 @@ def test_from_an_initial_pose_it_starts_when_both_wheels_are_known() -> None:
 
 @pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
 def test_a_given_pose_does_not_age_before_both_wheels_have_spoken(speaking: list[Wheel]) -> None:
-    ran = joints_pipeline(initial_pose=[1.0, -2.0, 2.0], initial_pose_std=[0.3, 0.2, 0.1])
+    ran = joints_localizer(initial_pose=[1.0, -2.0, 2.0], initial_pose_std=[0.3, 0.2, 0.1])
     outputs = []
     for number in range(-400, 0):
         stamp = START_NS + number * PERIOD_NS // 10
@@ -274,7 +274,7 @@ def test_a_set_pose_counts_from_its_stamp_on(carried: Any, running: bool) -> Non
     elsewhere = {"initial_pose": [40.0, 50.0, 1.0]} if running else {}
     stamp = START_NS + 4 * PERIOD_NS - 130_000_000
     given = np.diag([0.25, 0.25, 0.07])
-    outputs = drive(joints_pipeline(**elsewhere), [PoseReset(stamp, pose_at(stamp), given)], 8)
+    outputs = drive(joints_localizer(**elsewhere), [PoseReset(stamp, pose_at(stamp), given)], 8)
     known = [o for o in outputs if o.stamp_ns >= stamp]
     assert len(known) == 5
     for output in known:
@@ -319,7 +319,7 @@ def test_a_filter_that_starts_goes_on_with_the_readings_that_follow_in_the_same_
         compass(end - 50_000_000, -0.1),
     ]
     first = [compass(began), fix(began)]
-    ran = joints_pipeline(adaptation="none")
+    ran = joints_localizer(adaptation="none")
     estimate = first_estimate(drive(ran, [*first, *rest], 6))
     assert estimate.stamp_ns == end
     x, P = taken(pose_at(began), np.diag(R), began, rest, end)
@@ -343,7 +343,7 @@ def test_a_set_pose_is_corrected_by_the_readings_after_it_and_by_none_before(run
         compass(stamp + 100_000_000, -0.1),
     ]
     events = [*before, *after, PoseReset(stamp, given, P_given)]
-    outputs = drive(joints_pipeline(adaptation="none", **elsewhere), events, 6)
+    outputs = drive(joints_localizer(adaptation="none", **elsewhere), events, 6)
     estimate = next(o.estimate for o in outputs if o.stamp_ns == end)
     assert estimate is not None
     x, P = taken(given, P_given, stamp, after, end)
@@ -356,7 +356,7 @@ def test_readings_before_a_set_pose_are_taken_before_it() -> None:
     end = START_NS + 4 * PERIOD_NS
     reset = PoseReset(end - 100_000_000, pose_at(end - 100_000_000), np.eye(3))
     events = [compass(end - 200_000_000), fix(end - 150_000_000), compass(end - 50_000_000), reset]
-    ran = joints_pipeline(initial_pose=list(pose_at(START_NS)), initial_pose_std=[0.1, 0.1, 0.1])
+    ran = joints_localizer(initial_pose=list(pose_at(START_NS)), initial_pose_std=[0.1, 0.1, 0.1])
     estimate = next(o.estimate for o in drive(ran, events, 6) if o.stamp_ns == end)
     assert estimate is not None
     assert estimate.result is not None
@@ -364,7 +364,7 @@ def test_readings_before_a_set_pose_are_taken_before_it() -> None:
 
 
 def test_a_set_pose_keeps_the_adapted_noise() -> None:
-    ran = make_pipeline(adaptation="r", measurement_noise_std=[0.5, 0.5, 0.6])
+    ran = make_localizer(adaptation="r", measurement_noise_std=[0.5, 0.5, 0.6])
     run = simulated(11, 30.0)
     outputs = [o for now, event in run.arrivals for o in ran.add(event, now)]
     before = outputs[-1].estimate

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import feed, make_parameters, make_pipeline, same_estimates, simulated
+from localizers import feed, make_localizer, make_parameters, same_estimates, simulated
 from places import ROOT
 
 from fnn_ekf_ros.localizer.localizer import Localizer
@@ -259,25 +259,25 @@ def test_a_writer_that_is_killed_leaves_a_whole_state(parameters: LocalizerParam
 
 
 def test_what_is_saved_is_the_noise_without_an_alarm_and_the_last_pose() -> None:
-    pipeline = make_pipeline()
-    assert pipeline.saved() is None
-    outputs = feed(pipeline, simulated(30, 30.0).arrivals)
+    localizer = make_localizer()
+    assert localizer.saved() is None
+    outputs = feed(localizer, simulated(30, 30.0).arrivals)
     last = [output.estimate for output in outputs if output.estimate is not None][-1]
-    saved = pipeline.saved()
+    saved = localizer.saved()
     assert saved is not None
     assert saved.stamp_ns == last.stamp_ns
     np.testing.assert_array_equal(saved.pose, last.state.mean)
     np.testing.assert_array_equal(saved.covariance, last.state.covariance)
-    pipeline.advance(saved.stamp_ns - 10 * 10**9)  # the clock goes back: a restart
-    assert shown(saved.process_noise) == process_noise_shown(pipeline)
+    localizer.advance(saved.stamp_ns - 10 * 10**9)  # the clock goes back: a restart
+    assert shown(saved.process_noise) == process_noise_shown(localizer)
 
 
 def shown(variances: Any) -> str:
     return ", ".join(f"{value:.4g}" for value in np.sqrt(variances))
 
 
-def process_noise_shown(pipeline: Localizer) -> str:
-    statuses = {status.name: status for status in pipeline.report()}
+def process_noise_shown(localizer: Localizer) -> str:
+    statuses = {status.name: status for status in localizer.report()}
     return dict(statuses["filter"].values)["process noise std [m, rad]"]
 
 
@@ -292,9 +292,9 @@ def test_a_warm_start_has_pose_and_noise_at_once(state: SavedState, mode: str) -
     parameters = make_parameters(
         adaptation=mode, initial_pose=[9.0, 9.0, 0.0], initial_pose_std=list(std)
     )
-    pipeline = warm(parameters, state)
-    pipeline.advance(20 * 10**9)
-    saved = pipeline.saved()
+    localizer = warm(parameters, state)
+    localizer.advance(20 * 10**9)
+    saved = localizer.saved()
     assert saved is not None
     np.testing.assert_array_equal(saved.pose, state.pose)
     np.testing.assert_allclose(saved.covariance, state.covariance + np.diag(std**2), rtol=1e-12)
@@ -305,21 +305,21 @@ def test_a_warm_start_has_pose_and_noise_at_once(state: SavedState, mode: str) -
 @pytest.mark.slow
 def test_after_a_reset_the_start_is_cold(state: SavedState) -> None:
     arrivals = simulated(30, 20.0).arrivals
-    pipeline = warm(make_parameters(), state)
-    feed(pipeline, arrivals[:200])
-    pipeline.reset()
-    same_estimates(feed(pipeline, arrivals), feed(make_pipeline(), arrivals))
+    localizer = warm(make_parameters(), state)
+    feed(localizer, arrivals[:200])
+    localizer.reset()
+    same_estimates(feed(localizer, arrivals), feed(make_localizer(), arrivals))
 
 
 def test_a_clock_that_jumps_keeps_the_noise_of_a_warm_start_but_not_its_pose(
     state: SavedState,
 ) -> None:
-    pipeline = warm(make_parameters(adaptation="none"), state)
-    pipeline.advance(100 * 10**9)
-    assert pipeline.saved() is not None
-    pipeline.advance(10 * 10**9)
-    assert pipeline.saved() is None
-    assert process_noise_shown(pipeline) == shown(state.process_noise)
+    localizer = warm(make_parameters(adaptation="none"), state)
+    localizer.advance(100 * 10**9)
+    assert localizer.saved() is not None
+    localizer.advance(10 * 10**9)
+    assert localizer.saved() is None
+    assert process_noise_shown(localizer) == shown(state.process_noise)
 
 
 @pytest.mark.slow
@@ -327,15 +327,15 @@ def test_the_noise_that_was_learned_serves_a_plain_filter() -> None:
     """R too small by 25: errors of 20 s without adaptation, from a cold start and a warm one."""
     wrong = {"measurement_noise_std": [0.02, 0.02, 0.027]}
     first, second = simulated(31, 60.0), simulated(32, 20.0)
-    learned = make_pipeline(**wrong)
+    learned = make_localizer(**wrong)
     feed(learned, first.arrivals)
     kept = learned.saved()
     assert kept is not None
     parameters = make_parameters(**wrong, adaptation="none")
     errors = []
     for start in (None, kept._replace(pose=second.truth[min(second.truth)])):
-        pipeline = Localizer(parameters, networks_for(parameters), warm_start=start)
-        outputs = feed(pipeline, second.arrivals)
+        localizer = Localizer(parameters, networks_for(parameters), warm_start=start)
+        outputs = feed(localizer, second.arrivals)
         poses = [o.estimate for o in outputs if o.estimate and o.stamp_ns in second.truth]
         wrong_by = [np.hypot(*(e.state.mean - second.truth[e.stamp_ns])[:2]) for e in poses]
         errors.append(float(np.sqrt(np.mean(np.square(wrong_by)))))

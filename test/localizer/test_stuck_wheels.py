@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import PERIOD_NS, SECOND_NS, feed, make_pipeline, simulated
+from localizers import PERIOD_NS, SECOND_NS, feed, make_localizer, simulated
 from wheel_counts import AT_ORIGIN, BEGIN_NS, METERS_PER_COUNT, STEP_NS, encoder_reports, straight
 
 from fnn_ekf_ros.localizer import history
@@ -21,7 +21,7 @@ def test_a_silent_wheel_is_named(wheel: Wheel) -> None:
     arrivals = straight("ticks", 600)
     since = BEGIN_NS + 10 * SECOND_NS
     kept = [a for a in arrivals if a.now_ns < since or a.event.wheel is not wheel]
-    reports = encoder_reports(feed(make_pipeline(**AT_ORIGIN), kept))
+    reports = encoder_reports(feed(make_localizer(**AT_ORIGIN), kept))
     said = [s for s in reports if f"{wheel.name.lower()} wheel silent" in s.message]
     assert len(said) >= 1
     assert {status.level for status in said} == {Level.ERROR}
@@ -33,7 +33,7 @@ def test_a_silent_wheel_is_named(wheel: Wheel) -> None:
 
 def test_a_wheel_that_never_spoke_is_named() -> None:
     arrivals = [a for a in straight("ticks", 300) if a.event.wheel is Wheel.LEFT]
-    last = encoder_reports(feed(make_pipeline(**AT_ORIGIN), arrivals))[-1]
+    last = encoder_reports(feed(make_localizer(**AT_ORIGIN), arrivals))[-1]
     assert (last.level, last.message) == (Level.ERROR, "no message yet from the right wheel")
 
 
@@ -57,7 +57,7 @@ def stuck_at(arrivals: Sequence[Any], wheel: Wheel, since_ns: int) -> list[Any]:
 def test_a_stuck_wheel_is_named(adaptation: str, wheel: Wheel) -> None:
     arrivals = simulated(11, 30.0, path="sim2").arrivals
     stuck_ns = BEGIN_NS + 15 * SECOND_NS
-    outputs = feed(make_pipeline(adaptation=adaptation), stuck_at(arrivals, wheel, stuck_ns))
+    outputs = feed(make_localizer(adaptation=adaptation), stuck_at(arrivals, wheel, stuck_ns))
     name = f"{wheel.name.lower()} wheel stuck: "
     found = [
         (o.stamp_ns, s) for o in outputs for s in o.statuses or ()
@@ -83,7 +83,7 @@ def test_a_robot_may_pivot_about_a_wheel(wheel: Wheel, assumed: float, adaptatio
     """Even where the configured noise of the filter is too small or too large."""
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        pipeline = make_pipeline(
+        localizer = make_localizer(
             adaptation=adaptation, initial_pose=[0.0, 0.0, 0.0],
             process_noise_std=[0.05 * assumed, 0.05236 * assumed],
             measurement_noise_std=[0.1 * assumed, 0.1 * assumed, 0.134 * assumed],
@@ -97,21 +97,21 @@ def test_a_robot_may_pivot_about_a_wheel(wheel: Wheel, assumed: float, adaptatio
             yaw += 0.05236 * math.sqrt(STEP_NS / PERIOD_NS) * rng.standard_normal()
             if number % 5 == 0:
                 seen = math.remainder(yaw + 0.134 * rng.standard_normal(), 2.0 * math.pi)
-                outputs += pipeline.add(CompassYaw(stamp, seen), stamp)
-            outputs += pipeline.add(WheelCount(stamp, Wheel(1 - wheel), count), stamp)
-            outputs += pipeline.add(WheelCount(stamp, wheel, 0), stamp)
+                outputs += localizer.add(CompassYaw(stamp, seen), stamp)
+            outputs += localizer.add(WheelCount(stamp, Wheel(1 - wheel), count), stamp)
+            outputs += localizer.add(WheelCount(stamp, wheel, 0), stamp)
         assert not [s.message for s in encoder_reports(outputs) if "stuck" in s.message]
 
 
 def test_a_pose_that_is_set_is_no_turn() -> None:
-    pipeline, outputs = make_pipeline(**AT_ORIGIN), []
+    localizer, outputs = make_localizer(**AT_ORIGIN), []
     for number in range(400):
         stamp = BEGIN_NS + number * STEP_NS
         if number == 200:
             there = np.array([1.0, 2.0, 3.0])
-            outputs += pipeline.add(PoseReset(stamp, there, 1e-4 * np.eye(3)), stamp)
-        outputs += pipeline.add(WheelCount(stamp, Wheel.RIGHT, 10 * number), stamp)
-        outputs += pipeline.add(WheelCount(stamp, Wheel.LEFT, 0), stamp)
+            outputs += localizer.add(PoseReset(stamp, there, 1e-4 * np.eye(3)), stamp)
+        outputs += localizer.add(WheelCount(stamp, Wheel.RIGHT, 10 * number), stamp)
+        outputs += localizer.add(WheelCount(stamp, Wheel.LEFT, 0), stamp)
     assert not [s.message for s in encoder_reports(outputs) if "stuck" in s.message]
 
 
@@ -132,19 +132,19 @@ def test_a_pose_that_the_gate_moves_is_no_turn(
 
     monkeypatch.setattr(history, "run_period", jumping)
     sure = {"initial_pose_std": [0.1, 0.1, 0.01], "process_noise_std": [0.05, 0.001]}
-    pipeline, outputs = make_pipeline(**AT_ORIGIN, **sure), []
+    localizer, outputs = make_localizer(**AT_ORIGIN, **sure), []
     for number in range(400):
         stamp = BEGIN_NS + number * STEP_NS
-        outputs += pipeline.add(WheelCount(stamp, Wheel.RIGHT, 10 * number), stamp)
-        outputs += pipeline.add(WheelCount(stamp, Wheel.LEFT, 0), stamp)
+        outputs += localizer.add(WheelCount(stamp, Wheel.RIGHT, 10 * number), stamp)
+        outputs += localizer.add(WheelCount(stamp, Wheel.LEFT, 0), stamp)
     said = [s.message for s in encoder_reports(outputs) if "left wheel stuck" in s.message]
     assert bool(said) is not relocated
 
 
 def test_encoders_that_are_not_there_are_an_error_after_a_while() -> None:
-    pipeline, levels = make_pipeline(), []
+    localizer, levels = make_localizer(), []
     for number in range(40):
-        outputs = pipeline.advance(BEGIN_NS + number * PERIOD_NS)
+        outputs = localizer.advance(BEGIN_NS + number * PERIOD_NS)
         levels += [(o.stamp_ns, s.level) for o in outputs for s in encoder_reports([o])]
     assert levels
     assert [level for _, level in levels] == [

@@ -18,7 +18,7 @@ from localizers import (
     START_NS,
     Arrival,
     feed,
-    make_pipeline,
+    make_localizer,
     same_estimates,
     simulated,
     status_at_end,
@@ -72,7 +72,7 @@ def pick(arrivals: Sequence[Any], kind: type[Event], after_ns: int) -> Any:
 def run_in_time(adaptation: str) -> tuple[Sequence[Arrival], list[Output]]:
     """Return what arrives in 20 s, and what comes of it where nothing is late."""
     arrivals = simulated(11, 20.0).arrivals
-    return arrivals, feed(make_pipeline(adaptation=adaptation), arrivals)
+    return arrivals, feed(make_localizer(adaptation=adaptation), arrivals)
 
 
 @pytest.mark.parametrize("adaptation", ["none", "r", "q", "rq"])
@@ -84,8 +84,8 @@ def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_
 ) -> None:
     arrivals, in_time = run_in_time(adaptation)
     event = pick(arrivals, kind, START_NS + 14 * SECOND_NS)
-    pipeline = make_pipeline(adaptation=adaptation)
-    outputs = feed(pipeline, delayed(arrivals, event, round(late_s * SECOND_NS)))
+    localizer = make_localizer(adaptation=adaptation)
+    outputs = feed(localizer, delayed(arrivals, event, round(late_s * SECOND_NS)))
     came_ns = event.stamp_ns + round(late_s * SECOND_NS)
     same_estimates(
         [o for o in outputs if o.stamp_ns > came_ns], [o for o in in_time if o.stamp_ns > came_ns]
@@ -97,8 +97,8 @@ def test_a_late_measurement_counts_from_the_next_period_on_as_if_it_had_been_in_
         assert twin.estimate is not None
         if not (kind is CompassYaw and late_s == 0.2):
             assert np.any(output.estimate.state.mean != twin.estimate.state.mean)
-    assert time_values(pipeline)["dropped"] == "0"
-    assert int(time_values(pipeline)["periods run again for late inputs"]) == len(
+    assert time_values(localizer)["dropped"] == "0"
+    assert int(time_values(localizer)["periods run again for late inputs"]) == len(
         [o for o in outputs if event.stamp_ns <= o.stamp_ns < came_ns]
     )
 
@@ -108,8 +108,8 @@ def test_a_late_pose_reset_counts_at_its_stamp() -> None:
     arrivals = list(simulated(11, 30.0).arrivals)
     reset = PoseReset(START_NS + 20 * SECOND_NS + 7, np.array([5.0, 5.0, 1.0]), 0.01 * np.eye(3))
     arrivals = sorted([*arrivals, Arrival(reset.stamp_ns, reset)], key=lambda a: a.now_ns)
-    in_time = feed(make_pipeline(adaptation="r"), arrivals)
-    outputs = feed(make_pipeline(adaptation="r"), delayed(arrivals, reset, SECOND_NS))
+    in_time = feed(make_localizer(adaptation="r"), arrivals)
+    outputs = feed(make_localizer(adaptation="r"), delayed(arrivals, reset, SECOND_NS))
     later = START_NS + 21 * SECOND_NS + 100
     same_estimates(
         [o for o in outputs if o.stamp_ns > later], [o for o in in_time if o.stamp_ns > later]
@@ -130,11 +130,11 @@ def test_wheels_that_come_late_are_made_up_for(wheels: list[Wheel]) -> None:
 
     late = [a._replace(now_ns=end) if held_up(a) else a for a in arrivals]
     late.sort(key=lambda a: a.now_ns)
-    in_time = feed(make_pipeline(adaptation="r"), arrivals)
-    pipeline = make_pipeline(adaptation="r")
-    outputs = feed(pipeline, late)
+    in_time = feed(make_localizer(adaptation="r"), arrivals)
+    localizer = make_localizer(adaptation="r")
+    outputs = feed(localizer, late)
     assert (
-        int(value_of(status_at_end(pipeline, "encoders"), "periods closed without both wheels"))
+        int(value_of(status_at_end(localizer, "encoders"), "periods closed without both wheels"))
         >= 2
     )
     same_estimates(
@@ -151,7 +151,7 @@ def test_a_gap_in_the_counts_is_bridged_and_no_way_is_lost() -> None:
         a for a in run.arrivals if isinstance(a.event, WheelCount) and not begin < a.now_ns < end
     ]
     heading = list(run.truth[min(run.truth)])
-    outputs = feed(make_pipeline(initial_pose=heading), arrivals)
+    outputs = feed(make_localizer(initial_pose=heading), arrivals)
     last = outputs[-1]
     assert last.estimate is not None
     way = np.linalg.norm(last.estimate.state.mean[:2] - run.truth[last.stamp_ns][:2])
@@ -164,11 +164,11 @@ def test_a_gap_in_the_counts_is_bridged_and_no_way_is_lost() -> None:
 def test_what_comes_later_than_history_is_dropped_and_counted(kind: type) -> None:
     arrivals = simulated(11, 30.0).arrivals
     event = pick(arrivals, kind, START_NS + 20 * SECOND_NS)
-    without = feed(make_pipeline(), [a for a in arrivals if a.event is not event])
-    pipeline = make_pipeline()
-    outputs = feed(pipeline, delayed(arrivals, event, 3 * SECOND_NS))
+    without = feed(make_localizer(), [a for a in arrivals if a.event is not event])
+    localizer = make_localizer()
+    outputs = feed(localizer, delayed(arrivals, event, 3 * SECOND_NS))
     same_estimates(outputs, without)
-    status = status_at_end(pipeline, "time")
+    status = status_at_end(localizer, "time")
     assert value_of(status, "dropped") == "1"
     reports = [s for o in outputs if o.statuses for s in o.statuses if s.name == "time"]
     warnings = [s for s in reports if s.level is Level.WARN]
@@ -179,46 +179,46 @@ def test_what_comes_later_than_history_is_dropped_and_counted(kind: type) -> Non
 
 
 def test_what_is_stamped_far_ahead_is_dropped_and_counted() -> None:
-    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0])
     now = 10 * PERIOD_NS
-    pipeline.add(CompassYaw(now, 0.0), now)
-    pipeline.add(CompassYaw(now + SECOND_NS + 1, 1.0), now)
-    assert time_values(pipeline)["dropped"] == "1"
-    pipeline.add(CompassYaw(now + SECOND_NS, 1.0), now)
-    status = status_at_end(pipeline, "time")
+    localizer.add(CompassYaw(now, 0.0), now)
+    localizer.add(CompassYaw(now + SECOND_NS + 1, 1.0), now)
+    assert time_values(localizer)["dropped"] == "1"
+    localizer.add(CompassYaw(now + SECOND_NS, 1.0), now)
+    status = status_at_end(localizer, "time")
     assert (value_of(status, "dropped"), status.level) == ("1", Level.OK)
 
 
 def test_a_first_event_that_is_too_old_is_dropped() -> None:
     """A driver that does not stamp sends time 0; filling the time since then takes for ever."""
-    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
-    outputs = pipeline.add(CompassYaw(1, 0.0), 900 * SECOND_NS)
+    localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0])
+    outputs = localizer.add(CompassYaw(1, 0.0), 900 * SECOND_NS)
     assert min(output.stamp_ns for output in outputs) > 897 * SECOND_NS
-    assert time_values(pipeline)["dropped"] == "1"
+    assert time_values(localizer)["dropped"] == "1"
 
 
 def test_an_event_before_the_first_period_is_not_called_received() -> None:
-    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
+    localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0])
     now = 20 * PERIOD_NS
     for wheel in Wheel:
-        pipeline.add(WheelCount(now + 1, wheel, 0), now + 1)
-    pipeline.add(CompassYaw(now - 2_400_000_000, 1.0), now + 2)
-    assert time_values(pipeline)["dropped"] == "1"
-    assert value_of(status_at_end(pipeline, "compass"), "received") == "0"
+        localizer.add(WheelCount(now + 1, wheel, 0), now + 1)
+    localizer.add(CompassYaw(now - 2_400_000_000, 1.0), now + 2)
+    assert time_values(localizer)["dropped"] == "1"
+    assert value_of(status_at_end(localizer, "compass"), "received") == "0"
 
 
 def test_a_measurement_as_old_as_history_is_used_or_counted() -> None:
-    pipeline = make_pipeline(period=0.5, history=2.0, initial_pose=[0.0, 0.0, 0.0])
+    localizer = make_localizer(period=0.5, history=2.0, initial_pose=[0.0, 0.0, 0.0])
     outputs: list[Output] = []
     for number in range(40, 61):
         stamp = number * SECOND_NS // 4
         for wheel in Wheel:
-            outputs += pipeline.add(WheelCount(stamp, wheel, 0), stamp)
-    pipeline.add(CompassYaw(outputs[-1].stamp_ns - 2 * SECOND_NS, 1.0), 15 * SECOND_NS)
-    (output,) = pipeline.advance(16 * SECOND_NS)
+            outputs += localizer.add(WheelCount(stamp, wheel, 0), stamp)
+    localizer.add(CompassYaw(outputs[-1].stamp_ns - 2 * SECOND_NS, 1.0), 15 * SECOND_NS)
+    (output,) = localizer.advance(16 * SECOND_NS)
     assert output.estimate is not None
     used = abs(float(output.estimate.state.mean[2])) > 0.1
-    assert used or time_values(pipeline)["dropped"] == "1"
+    assert used or time_values(localizer)["dropped"] == "1"
 
 
 @settings(derandomize=True, deadline=None, max_examples=12)
@@ -242,8 +242,8 @@ def test_the_order_of_events_inside_a_period_does_not_matter(seed: int) -> None:
         rng.shuffle(others)
         shuffled += [Arrival(end, event) for event in [*closing, *others]]
     source = {"encoder_source": "joint_states"}  # ticks are in order: they are stamped on arrival
-    ordered = feed(make_pipeline(adaptation="r", **source), arrivals)
-    outputs = feed(make_pipeline(adaptation="r", **source), shuffled)
+    ordered = feed(make_localizer(adaptation="r", **source), arrivals)
+    outputs = feed(make_localizer(adaptation="r", **source), shuffled)
     assert len(outputs) > 30
     same_estimates(outputs, ordered[: len(outputs)])
 
@@ -251,12 +251,12 @@ def test_the_order_of_events_inside_a_period_does_not_matter(seed: int) -> None:
 def test_the_order_of_the_very_first_counts_does_not_matter() -> None:
     ran = []
     for order in (1, -1):
-        pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0], encoder_source="joint_states")
+        localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0], encoder_source="joint_states")
         inside = [(3_100_000_000, 0), (3_300_000_000, 100)]
         for stamp, count in [*inside[::order], (3_500_000_000, 200)]:
             outputs = []
             for wheel in Wheel:
-                outputs += pipeline.add(WheelCount(stamp, wheel, count), 3_500_000_000)
+                outputs += localizer.add(WheelCount(stamp, wheel, count), 3_500_000_000)
         ran.append(outputs)
     same_estimates(*ran)
 
@@ -275,12 +275,12 @@ def shifted(arrivals: Sequence[Any], by_ns: int) -> list[Any]:
 def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(jump_s: int) -> None:
     arrivals = simulated(11, 30.0).arrivals
     moved = shifted(arrivals, 2001 * SECOND_NS)
-    pipeline = make_pipeline(**WRONG_START)
-    adapted = noise_of(feed(pipeline, moved)[-1])
+    localizer = make_localizer(**WRONG_START)
+    adapted = noise_of(feed(localizer, moved)[-1])
     assert np.all(adapted[:3] < 0.7 * np.array([0.16, 0.16, 0.25]))
 
     again = shifted(moved, (jump_s + (30 if jump_s > 0 else 0)) * SECOND_NS)
-    outputs = feed(pipeline, again)
+    outputs = feed(localizer, again)
     assert outputs[0].estimate is None  # pose and inputs are forgotten: it waits as at the start
     assert len(outputs) <= len(arrivals)
     assert {o.stamp_ns % PERIOD_NS for o in outputs} == {0}
@@ -296,12 +296,12 @@ def test_a_clock_that_jumps_starts_anew_and_keeps_the_adapted_noise(jump_s: int)
 
 def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm() -> None:
     arrivals = simulated(11, 30.0).arrivals
-    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.4, 0.4, 0.5])
-    last = feed(pipeline, arrivals)[-1].estimate
+    localizer = make_localizer(adaptation="joint", measurement_noise_std=[0.4, 0.4, 0.5])
+    last = feed(localizer, arrivals)[-1].estimate
     assert last is not None
     assert last.state.joint is not None
-    expected = noise_without_alarms(last.state.joint, noise_bounds(pipeline.parameters))
-    outputs = feed(pipeline, shifted(arrivals, 2001 * SECOND_NS))
+    expected = noise_without_alarms(last.state.joint, noise_bounds(localizer.parameters))
+    outputs = feed(localizer, shifted(arrivals, 2001 * SECOND_NS))
     first = next(o.estimate for o in outputs if o.estimate is not None)
     np.testing.assert_allclose(first.state.process_noise, expected[0], rtol=1e-12)
     np.testing.assert_allclose(first.state.measurement_noise, expected[1], rtol=1e-12)
@@ -309,33 +309,33 @@ def test_a_restart_in_mode_joint_keeps_what_is_calm_and_no_alarm() -> None:
 
 
 def test_a_clock_that_jumps_twice_keeps_the_adapted_noise() -> None:
-    pipeline = make_pipeline(**WRONG_START)
+    localizer = make_localizer(**WRONG_START)
     moved = shifted(simulated(11, 30.0).arrivals, 2001 * SECOND_NS)
-    adapted = noise_of(feed(pipeline, moved)[-1])
-    pipeline.advance(1000 * SECOND_NS)
-    pipeline.advance(0)
-    outputs = feed(pipeline, simulated(11, 30.0).arrivals[:400])
+    adapted = noise_of(feed(localizer, moved)[-1])
+    localizer.advance(1000 * SECOND_NS)
+    localizer.advance(0)
+    outputs = feed(localizer, simulated(11, 30.0).arrivals[:400])
     first = next(o.estimate for o in outputs if o.estimate is not None)
     np.testing.assert_array_equal(first.state.measurement_noise, adapted)
 
 
 def test_a_clock_that_goes_back_by_less_than_history_is_late_data() -> None:
     arrivals = simulated(11, 30.0).arrivals
-    pipeline = make_pipeline(adaptation="r")
+    localizer = make_localizer(adaptation="r")
     half = len(arrivals) // 2
     now = arrivals[half].now_ns
-    before = feed(pipeline, arrivals[:half])
-    assert pipeline.advance(now - 1_900_000_000) == []
-    after = feed(pipeline, arrivals[half:])
-    reference = feed(make_pipeline(adaptation="r"), arrivals)
+    before = feed(localizer, arrivals[:half])
+    assert localizer.advance(now - 1_900_000_000) == []
+    after = feed(localizer, arrivals[half:])
+    reference = feed(make_localizer(adaptation="r"), arrivals)
     assert [o.stamp_ns for o in before + after] == [o.stamp_ns for o in reference]
-    assert time_values(pipeline)["restarts"] == "0"
+    assert time_values(localizer)["restarts"] == "0"
 
 
 def test_a_silence_is_filled_period_by_period() -> None:
-    pipeline = make_pipeline(initial_pose=[0.0, 0.0, 0.0])
-    pipeline.advance(10 * PERIOD_NS - 1 + 500_000_000)
-    outputs = pipeline.advance(10 * PERIOD_NS + 100 * SECOND_NS)
+    localizer = make_localizer(initial_pose=[0.0, 0.0, 0.0])
+    localizer.advance(10 * PERIOD_NS - 1 + 500_000_000)
+    outputs = localizer.advance(10 * PERIOD_NS + 100 * SECOND_NS)
     assert [o.stamp_ns for o in outputs] == [
         n * PERIOD_NS for n in range(10, 10 + (100 * SECOND_NS - 500_000_000) // PERIOD_NS + 1)
     ]
@@ -344,23 +344,23 @@ def test_a_silence_is_filled_period_by_period() -> None:
 @pytest.mark.slow
 def test_reset_is_a_new_start() -> None:
     arrivals = simulated(11, 30.0).arrivals
-    pipeline = make_pipeline(**WRONG_START)
-    assert noise_of(feed(pipeline, arrivals)[-1])[0] < 0.1
-    pipeline.reset()
-    assert status_at_end(pipeline, "filter").message.startswith("waiting for the first")
+    localizer = make_localizer(**WRONG_START)
+    assert noise_of(feed(localizer, arrivals)[-1])[0] < 0.1
+    localizer.reset()
+    assert status_at_end(localizer, "filter").message.startswith("waiting for the first")
     moved = shifted(arrivals, 30 * SECOND_NS)  # 80 periods
-    same_estimates(feed(pipeline, moved), feed(make_pipeline(**WRONG_START), moved))
+    same_estimates(feed(localizer, moved), feed(make_localizer(**WRONG_START), moved))
 
 
 @pytest.mark.parametrize("adaptation", ["r", "q", "rq"])
 @pytest.mark.slow
 def test_without_learning_from_the_start_it_is_the_plain_filter(adaptation: str) -> None:
     arrivals = simulated(11, 30.0).arrivals
-    pipeline = make_pipeline(adaptation=adaptation)
-    pipeline.enable_adaptation(False)
-    plain = feed(make_pipeline(adaptation="none"), arrivals)
-    same_estimates(feed(pipeline, arrivals), plain)
-    learning = feed(make_pipeline(adaptation=adaptation), arrivals)
+    localizer = make_localizer(adaptation=adaptation)
+    localizer.enable_adaptation(False)
+    plain = feed(make_localizer(adaptation="none"), arrivals)
+    same_estimates(feed(localizer, arrivals), plain)
+    learning = feed(make_localizer(adaptation=adaptation), arrivals)
     assert learning[-1].estimate is not None
     assert plain[-1].estimate is not None
     assert np.any(learning[-1].estimate.state.mean != plain[-1].estimate.state.mean)
@@ -370,12 +370,12 @@ def test_without_learning_from_the_start_it_is_the_plain_filter(adaptation: str)
 def test_learning_can_be_held_and_resumed() -> None:
     arrivals = simulated(11, 40.0).arrivals
     third = len(arrivals) // 3
-    pipeline = make_pipeline(**WRONG_START)
-    before = feed(pipeline, arrivals[:third])
-    pipeline.enable_adaptation(False)
-    held = feed(pipeline, arrivals[third : 2 * third])
-    pipeline.enable_adaptation(True)
-    after = feed(pipeline, arrivals[2 * third :])
+    localizer = make_localizer(**WRONG_START)
+    before = feed(localizer, arrivals[:third])
+    localizer.enable_adaptation(False)
+    held = feed(localizer, arrivals[third : 2 * third])
+    localizer.enable_adaptation(True)
+    after = feed(localizer, arrivals[2 * third :])
     for output in held:
         np.testing.assert_array_equal(noise_of(output), noise_of(before[-1]))
     assert np.any(noise_of(after[-1]) != noise_of(held[-1]))
@@ -383,9 +383,9 @@ def test_learning_can_be_held_and_resumed() -> None:
 
 def test_there_is_nothing_to_enable_without_an_adaptation() -> None:
     arrivals = simulated(11, 30.0).arrivals
-    pipeline = make_pipeline(adaptation="none")
-    pipeline.enable_adaptation(True)
-    same_estimates(feed(pipeline, arrivals), feed(make_pipeline(adaptation="none"), arrivals))
+    localizer = make_localizer(adaptation="none")
+    localizer.enable_adaptation(True)
+    same_estimates(feed(localizer, arrivals), feed(make_localizer(adaptation="none"), arrivals))
 
 
 def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_held() -> None:
@@ -395,14 +395,14 @@ def test_late_data_are_learned_from_as_if_they_had_come_before_the_noise_was_hel
     event = CompassYaw((now // PERIOD_NS - 3) * PERIOD_NS, 1.0)
     ran = []
     for late in (False, True):
-        pipeline = make_pipeline(**WRONG_START)
+        localizer = make_localizer(**WRONG_START)
         before = [a for a in arrivals[:half] if a.event.stamp_ns != event.stamp_ns]
         if not late:
             before.append(Arrival(event.stamp_ns, event))
             before.sort(key=lambda a: a.now_ns)
-        feed(pipeline, before)
-        pipeline.enable_adaptation(False)
-        outputs = feed(pipeline, [Arrival(now, event)] if late else [])
-        ran.append([o for o in outputs + feed(pipeline, arrivals[half:]) if o.stamp_ns > now])
+        feed(localizer, before)
+        localizer.enable_adaptation(False)
+        outputs = feed(localizer, [Arrival(now, event)] if late else [])
+        ran.append([o for o in outputs + feed(localizer, arrivals[half:]) if o.stamp_ns > now])
     same_estimates(*ran)
     np.testing.assert_array_equal(noise_of(ran[0][0]), noise_of(ran[0][-1]))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from localizers import SECOND_NS, Arrival, feed, make_pipeline, same_estimates
+from localizers import SECOND_NS, Arrival, feed, make_localizer, same_estimates
 from wheel_counts import (
     AT_ORIGIN,
     BEGIN_NS,
@@ -63,8 +63,8 @@ def test_a_wrapped_run_is_bit_for_bit_the_unwrapped_one(
                 shown -= 2**bits
             wrapping.append(Arrival(stamp, WheelCount(stamp, wheel, shown)))
     changes = AT_ORIGIN | {"left_inverted": inverted[0], "right_inverted": inverted[1]}
-    reference = feed(make_pipeline(encoder_bits=32, **changes), plain)
-    outputs = feed(make_pipeline(encoder_bits=bits, **changes), wrapping)
+    reference = feed(make_localizer(encoder_bits=32, **changes), plain)
+    outputs = feed(make_localizer(encoder_bits=bits, **changes), wrapping)
     assert sum(output.estimate is not None for output in outputs) >= 4
     same_estimates(outputs, reference)
 
@@ -84,9 +84,9 @@ def test_a_reset_controller_starts_a_new_base(source: str, wheel: Wheel) -> None
         if i >= half and a.event.wheel is wheel else a
         for i, a in enumerate(arrivals)
     ]  # fmt: skip
-    pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
-    outputs = feed(pipeline, reset)
-    whole = feed(make_pipeline(encoder_source=source, **AT_ORIGIN), arrivals)
+    localizer = make_localizer(encoder_source=source, **AT_ORIGIN)
+    outputs = feed(localizer, reset)
+    whole = feed(make_localizer(encoder_source=source, **AT_ORIGIN), arrivals)
     interval = 20 * METERS_PER_COUNT
     way, turn = last_mean(whole)[0] - last_mean(outputs)[0], abs(last_mean(outputs)[2])
     assert way == pytest.approx(0.5 * interval, rel=0.1)
@@ -97,7 +97,7 @@ def test_a_reset_controller_starts_a_new_base(source: str, wheel: Wheel) -> None
     assert warned[0].message == (
         f"{wheel.name.lower()} wheel jumped: taken for a reset or a glitch, not for motion"
     )
-    values = dict(encoders(pipeline).values)
+    values = dict(encoders(localizer).values)
     assert values["jumps"] == "1"
     assert values["last jump [m]"] == f"{jump:.3f}"
     assert values["silence before the last jump [s]"] == "0.0"
@@ -110,9 +110,9 @@ def test_a_glitch_costs_no_way(source: str, size: int) -> None:
     """One reading is corrupt: what the wheel did meanwhile is counted with the next one."""
     arrivals = straight(source, 400)
     scale = 1.0 if source == "ticks" else METERS_PER_COUNT / 0.025
-    pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
-    outputs = feed(pipeline, with_reading(arrivals, 401, round(size * scale)))
-    whole = feed(make_pipeline(encoder_source=source, **AT_ORIGIN), arrivals)
+    localizer = make_localizer(encoder_source=source, **AT_ORIGIN)
+    outputs = feed(localizer, with_reading(arrivals, 401, round(size * scale)))
+    whole = feed(make_localizer(encoder_source=source, **AT_ORIGIN), arrivals)
     np.testing.assert_array_equal(last_mean(outputs), last_mean(whole))
     furthest = max(
         float(np.max(np.abs(one.estimate.state.mean - other.estimate.state.mean)))
@@ -130,9 +130,9 @@ def test_corrupt_readings_that_contradict_each_other_are_no_new_base(glitches: i
     arrivals = whole = straight("ticks", 400)
     for number in range(glitches):
         arrivals = with_reading(arrivals, 401 + 2 * number, (-1) ** number * 40_000)
-    outputs = feed(make_pipeline(**AT_ORIGIN), arrivals)
+    outputs = feed(make_localizer(**AT_ORIGIN), arrivals)
     np.testing.assert_array_equal(
-        last_mean(outputs), last_mean(feed(make_pipeline(**AT_ORIGIN), whole))
+        last_mean(outputs), last_mean(feed(make_localizer(**AT_ORIGIN), whole))
     )
 
 
@@ -148,10 +148,10 @@ def test_a_burst_after_a_stall_is_no_jump(source: str, stall_ns: int) -> None:
     ]  # fmt: skip
     lost = [a for a in arrivals if not begin < a.now_ns < end]
     for changed in (burst, lost):
-        pipeline = make_pipeline(**AT_ORIGIN)
-        outputs = feed(pipeline, changed)
-        assert dict(encoders(pipeline).values)["jumps"] == "0"
-        whole = feed(make_pipeline(**AT_ORIGIN), arrivals)
+        localizer = make_localizer(**AT_ORIGIN)
+        outputs = feed(localizer, changed)
+        assert dict(encoders(localizer).values)["jumps"] == "0"
+        whole = feed(make_localizer(**AT_ORIGIN), arrivals)
         np.testing.assert_allclose(last_mean(outputs), last_mean(whole), atol=1e-9)
 
 
@@ -181,12 +181,12 @@ def test_a_controller_that_restarts_after_a_silence_is_no_motion(
         ) if a.now_ns >= again else a
         for a in silent
     ]  # fmt: skip
-    pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
-    outputs = feed(pipeline, restarted)
+    localizer = make_localizer(encoder_source=source, **AT_ORIGIN)
+    outputs = feed(localizer, restarted)
     counted = 20 * METERS_PER_COUNT * (600 - 281) if drives_on else 0.0
     assert last_mean(outputs)[0] == pytest.approx(counted, abs=0.2 * drives_on + 1e-9)
     np.testing.assert_allclose(last_mean(outputs)[1:], 0.0, atol=1e-9)
-    values = dict(encoders(pipeline).values)
+    values = dict(encoders(localizer).values)
     assert values["jumps"] == "2"
     assert values["last jump [m]"] == f"{-way:.3f}"
     assert values["silence before the last jump [s]"] == "3.0"
@@ -206,11 +206,11 @@ def test_a_robot_whose_messages_were_lost_keeps_its_way(
 ) -> None:
     per_step = round(speed * STEP_NS * 1e-9 / METERS_PER_COUNT)
     arrivals = straight(source, 400, per_step, start)
-    pipeline = make_pipeline(encoder_source=source, **AT_ORIGIN)
-    outputs = feed(pipeline, after_silence(arrivals, 3 * SECOND_NS))
-    whole = feed(make_pipeline(encoder_source=source, **AT_ORIGIN), arrivals)
+    localizer = make_localizer(encoder_source=source, **AT_ORIGIN)
+    outputs = feed(localizer, after_silence(arrivals, 3 * SECOND_NS))
+    whole = feed(make_localizer(encoder_source=source, **AT_ORIGIN), arrivals)
     np.testing.assert_allclose(last_mean(outputs), last_mean(whole), atol=1e-9)
-    assert dict(encoders(pipeline).values)["jumps"] == "0"
+    assert dict(encoders(localizer).values)["jumps"] == "0"
 
 
 @settings(derandomize=True, deadline=None, max_examples=20)
@@ -220,7 +220,7 @@ def test_stamps_that_jitter_by_a_drivers_cycle_are_no_jumps(seed: int) -> None:
     """At full speed, stamps of a 50 Hz driver up to 20 ms off, two of them the same."""
     rng = np.random.default_rng(seed)
     speed = 4.99 / 0.025
-    pipeline = make_pipeline(encoder_source="joint_states", **AT_ORIGIN)
+    localizer = make_localizer(encoder_source="joint_states", **AT_ORIGIN)
     before = 0
     for number in range(200):
         measured = BEGIN_NS + number * 20_000_000
@@ -229,5 +229,5 @@ def test_stamps_that_jitter_by_a_drivers_cycle_are_no_jumps(seed: int) -> None:
         before = stamp
         for wheel in Wheel:
             reading = speed * (measured - BEGIN_NS) * 1e-9
-            pipeline.add(WheelCount(stamp, wheel, reading), stamp)
-    assert dict(encoders(pipeline).values)["jumps"] == "0"
+            localizer.add(WheelCount(stamp, wheel, reading), stamp)
+    assert dict(encoders(localizer).values)["jumps"] == "0"

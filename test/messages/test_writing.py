@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from localizers import Arrival, as_object, feed, make_parameters, make_pipeline, simulated
+from localizers import Arrival, as_object, feed, make_localizer, make_parameters, simulated
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import NOISE_FIELDS
@@ -21,7 +21,7 @@ STAMP_NS = 1_700_000_000_987_654_321
 @pytest.fixture(scope="module")
 def estimates() -> list[Estimate]:
     """Estimates of a run of a filter that learns; the first is the start."""
-    outputs = feed(make_pipeline(adaptation="r"), simulated(11, 30.0).arrivals)
+    outputs = feed(make_localizer(adaptation="r"), simulated(11, 30.0).arrivals)
     return [output.estimate for output in outputs if output.estimate is not None]
 
 
@@ -48,10 +48,10 @@ def test_odometry_carries_pose_twist_and_their_covariances(estimates: list[Estim
     assert np.shape(message.pose.covariance) == (36,)
     np.testing.assert_array_equal(np.reshape(message.pose.covariance, (6, 6)), expected)
     assert np.abs(P[0, 2]) > 1e-6  # or the test would not see a wrong layout
-    forward, turn = estimate.twist_variance
+    linear, angular = estimate.twist_variance
     np.testing.assert_array_equal(
         np.reshape(message.twist.covariance, (6, 6)),
-        np.diag([forward, 1e-9, 1e-9, 1e-9, 1e-9, turn]),
+        np.diag([linear, 1e-9, 1e-9, 1e-9, 1e-9, angular]),
     )
 
 
@@ -109,7 +109,7 @@ def test_noise_numbers_keep_their_places() -> None:
 @pytest.mark.parametrize("mode", ["r", "q", "rq"])
 @pytest.mark.slow
 def test_noise_numbers_tell_what_fired(mode: str) -> None:
-    outputs = feed(make_pipeline(adaptation=mode), simulated(11, 30.0).arrivals)
+    outputs = feed(make_localizer(adaptation=mode), simulated(11, 30.0).arrivals)
     *_, last = (output.estimate for output in outputs if output.estimate is not None)
     data = as_object(messages.noise(last)).data
     rows, process = last.result.firing_strength, last.result.process_firing_strength
@@ -149,7 +149,7 @@ def test_a_nis_to_plot_is_per_degree_of_freedom_and_only_of_what_was_measured() 
         return sum(now_ns > s * 1e9 for s in silent.get(type(event), ())) % 2 == 0
 
     arrivals = [arrival for arrival in simulated(11, 25.0).arrivals if heard(*arrival)]
-    outputs = feed(make_pipeline(), arrivals)
+    outputs = feed(make_localizer(), arrivals)
     start, *later = (output.estimate for output in outputs if output.estimate is not None)
     assert not set(messages.numbers(start)) & set(messages.NIS_TOPICS)
     seen = set()
@@ -193,7 +193,7 @@ def test_noise_numbers_tell_what_the_gate_did(mode: str) -> None:
             event = sent._replace(pose=sent.pose + np.array([20.0, 0.0, 0.0]))
         arrivals.append(Arrival(now_ns, event))
     named = []
-    for output in feed(make_pipeline(adaptation=mode), arrivals):
+    for output in feed(make_localizer(adaptation=mode), arrivals):
         if output.estimate is not None and output.estimate.result is not None:
             values = as_object(messages.noise(output.estimate)).data
             named.append((output.stamp_ns, dict(zip(NOISE_FIELDS, values, strict=True))))
@@ -210,8 +210,8 @@ def test_noise_numbers_tell_what_the_gate_did(mode: str) -> None:
 
 
 def test_noise_numbers_tell_what_joint_adaptation_estimates() -> None:
-    pipeline = make_pipeline(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])
-    outputs = feed(pipeline, simulated(11, 30.0).arrivals)
+    localizer = make_localizer(adaptation="joint", measurement_noise_std=[0.5, 0.5, 0.67])
+    outputs = feed(localizer, simulated(11, 30.0).arrivals)
     first, *_, last = (output.estimate for output in outputs if output.estimate is not None)
     data = as_object(messages.noise(last)).data
     fired = last.result.joint.firing_strength

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from localizers import SECOND_NS, START_NS, as_object, feed, make_pipeline, simulated
+from localizers import SECOND_NS, START_NS, as_object, feed, make_localizer, simulated
 from places import FAULTS_EXAMPLE
 
 from fnn_ekf_ros import messages
@@ -314,7 +314,7 @@ def test_a_reading_within_the_step_of_a_kidnapping_was_taken_before_it() -> None
 @pytest.mark.slow
 def test_a_localizer_follows_a_robot_with_other_rates(source: str, rates: dict[str, float]) -> None:
     sent = simulated(7, 40.0, source, path="round", **rates)
-    outputs = feed(make_pipeline(encoder_source=source), sent.arrivals)
+    outputs = feed(make_localizer(encoder_source=source), sent.arrivals)
     estimates = [output.estimate for output in outputs if output.estimate is not None]
     assert len(estimates) >= 100
     assert {np.diff([e.stamp_ns for e in estimates]).max()} == {375_000_000}

@@ -66,8 +66,8 @@ def arrivals() -> list[Any]:
 
 def run_of(parameters: LocalizerParameters, name: str, arrivals: Any) -> Any:
     """Return stamps and run of a filter from `CELLS`, as the study does it."""
-    pipeline, recorder = recording_localizer(parameters)
-    feed(pipeline, arrivals)
+    localizer, recorder = recording_localizer(parameters)
+    feed(localizer, arrivals)
     assert recorder.broken_ns is None
     batch = batch_start(parameters, recorder.periods, CELLS)
     run = collect(run_starts(localizer_models(parameters)[name].model, batch))
@@ -79,8 +79,8 @@ def run_of(parameters: LocalizerParameters, name: str, arrivals: Any) -> Any:
 def outputs_of(parameters: LocalizerParameters, name: str, cell: Cell, arrivals: Any) -> list[Any]:
     """Return the estimates of the localizer itself."""
     told = dataclasses.replace(with_noise_factors(parameters, cell), **FILTERS[name])
-    pipeline = Localizer(told, networks_for(told))
-    return [o.estimate for o in feed(pipeline, arrivals) if o.estimate is not None]
+    localizer = Localizer(told, networks_for(told))
+    return [o.estimate for o in feed(localizer, arrivals) if o.estimate is not None]
 
 
 def assert_row(run: Run, index: int, stamps: Sequence[int], estimates: Sequence[Any]) -> None:
@@ -174,7 +174,7 @@ def test_late_inputs_count_in_their_place(arrivals: Any) -> None:
 
 @pytest.mark.parametrize("jump_s", [-100.0, 3600.0])
 def test_a_recording_that_is_not_in_one_piece_is_noticed(arrivals: Any, jump_s: float) -> None:
-    pipeline, recorder = recording_localizer(make_parameters())
+    localizer, recorder = recording_localizer(make_parameters())
     by_ns = round(jump_s * SECOND_NS)
     again = [
         each._replace(
@@ -183,9 +183,9 @@ def test_a_recording_that_is_not_in_one_piece_is_noticed(arrivals: Any, jump_s: 
         )
         for each in arrivals
     ]
-    feed(pipeline, arrivals)
+    feed(localizer, arrivals)
     assert recorder.broken_ns is None
-    feed(pipeline, again)
+    feed(localizer, again)
     assert recorder.broken_ns is not None
 
 

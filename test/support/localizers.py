@@ -58,20 +58,20 @@ def make_parameters(**changes: Any) -> LocalizerParameters:
     return build(LocalizerParameters, GEOMETRY | changes)
 
 
-def make_pipeline(**changes: Any) -> Localizer:
+def make_localizer(**changes: Any) -> Localizer:
     """Return a localizer for the paper's robot, with changed parameters."""
     parameters = make_parameters(**changes)
     return Localizer(parameters, networks_for(parameters))
 
 
-def joints_pipeline(**changes: Any) -> Localizer:
+def joints_localizer(**changes: Any) -> Localizer:
     """Return one that listens to joint states, which have no steps."""
-    return make_pipeline(**JOINTS, **changes)
+    return make_localizer(**JOINTS, **changes)
 
 
-def feed(pipeline: Localizer, arrivals: Iterable[Arrival]) -> list[Output]:
+def feed(localizer: Localizer, arrivals: Iterable[Arrival]) -> list[Output]:
     """Feed arrivals to a localizer; return all it gives."""
-    return [output for now, event in arrivals for output in pipeline.add(event, now)]
+    return [output for now, event in arrivals for output in localizer.add(event, now)]
 
 
 def as_object(field: Any) -> Any:
@@ -139,14 +139,14 @@ def estimates(outputs: list[Output]) -> list[Output]:
     return [output for output in outputs if output.estimate is not None]
 
 
-def status_at_end(pipeline: Localizer, name: str) -> Status:
+def status_at_end(localizer: Localizer, name: str) -> Status:
     """Return the current status of a name."""
-    return next(status for status in pipeline.report() if status.name == name)
+    return next(status for status in localizer.report() if status.name == name)
 
 
-def time_values(pipeline: Localizer) -> dict[str, str]:
+def time_values(localizer: Localizer) -> dict[str, str]:
     """Return the values of the status `time` by key."""
-    return dict(status_at_end(pipeline, "time").values)
+    return dict(status_at_end(localizer, "time").values)
 
 
 def statuses(outputs: list[Output], name: str) -> list[Status]:

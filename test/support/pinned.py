@@ -4,7 +4,7 @@
 """Results of the filter that may not change: computed here, compared by test_pinned.py.
 
 A change of how the core computes must not change what it computes, as long as each sensor is read
-once a period, at its end. What the filters of the studies and the pipeline gave is kept in
+once a period, at its end. What the filters of the studies and the localizer gave is kept in
 `pinned.npz`, and holds to 1e-9. Nothing of the core is called directly, so that its functions and
 the layout of its arrays may change.
 

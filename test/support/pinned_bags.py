@@ -174,10 +174,10 @@ def bag_results(name: str) -> dict[str, Records]:
     """Return some of the estimates, and the gate's decisions and all reports."""
     case = CASES_OF_BAGS[name]
     parameters = _parameters(case)
-    pipeline = Localizer(parameters, networks_for(parameters))
+    localizer = Localizer(parameters, networks_for(parameters))
     outputs: list[Output] = []
     for now_ns, event in _heard(case, parameters):
-        outputs += pipeline.add(event, now_ns)
+        outputs += localizer.add(event, now_ns)
     estimates = [output for output in outputs if output.estimate is not None]
     return {
         "estimates": _estimates(estimates[case.every :: case.every]),

@@ -19,9 +19,9 @@ AT_ORIGIN = {"initial_pose": [0.0, 0.0, 0.0], "adaptation": "none"}
 SOURCES = ["ticks", "joint_states"]
 
 
-def encoders(pipeline: Localizer) -> Status:
+def encoders(localizer: Localizer) -> Status:
     """Return the current status of the encoders."""
-    return status_at_end(pipeline, "encoders")
+    return status_at_end(localizer, "encoders")
 
 
 def encoder_reports(outputs: list[Output]) -> list[Status]:
