@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 from documents import ROOT, read
 
-from fnn_ekf_ros.core import joint, relocation, suspects
+from fnn_ekf_ros.core import frozen, joint, relocation, suspects
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.diagnostics import (
     fault_isolation,
     filter_status,
-    frozen,
     recent_periods,
     report,
     stuck_wheel,
@@ -70,6 +69,8 @@ THRESHOLDS = (
     Threshold("standing robot: rotation in a nominal period", 1e3 * joint.STANDSTILL[1], "mrad"),
     Threshold("nominal period", 1e3 * NOMINAL_PERIOD_S, "ms"),
     Threshold("frozen sensor: consecutive identical readings", frozen.FROZEN_READINGS),
+    Threshold("frozen fixes: jitter that counts as identical", 1e3 * frozen.JITTER, "mm"),
+    Threshold("frozen compass: jitter that counts as identical", 1e3 * frozen.JITTER, "mrad"),
     Threshold("frozen fixes: distance by the wheels meanwhile", frozen.FROZEN_DISTANCE, "m"),
     Threshold("frozen compass: rotation by the wheels meanwhile", frozen.FROZEN_ROTATION, "rad"),
     Threshold("readings of one sensor that are used", epochs.MOST_READINGS_A_SECOND, "1/s"),

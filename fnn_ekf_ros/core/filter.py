@@ -35,6 +35,7 @@ from fnn_ekf_ros.core.bank import (
     wrapped,
 )
 from fnn_ekf_ros.core.evidence import log_likelihood
+from fnn_ekf_ros.core.frozen import without_frozen
 from fnn_ekf_ros.core.gate import (
     GateDecision,
     GateState,
@@ -162,15 +163,20 @@ def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterSt
         epoch: the step of the wheels, and the readings at its end.
 
     Returns:
-        The state after the readings, and their results; None without readings.
+        The state after the readings, and their results; None without readings. Those of a frozen
+        sensor are not available.
     """
+    measured = epoch.available.any()
+    unchanged, epoch = without_frozen(state.unchanged, epoch, model.measurement_noise)
+    state = state._replace(unchanged=unchanged)
     elapsed = epoch.duration_s / NOMINAL_PERIOD_S
     Q = elapsed * state.noise.process
     predicted = predict(model.motion_model, state.bank, epoch.control, Q)
     state = _later(model, state, epoch, elapsed)
     rows = rows_where(epoch.available)
     if not rows.some.any():
-        return _alarm_faded(model, state._replace(bank=wrapped(predicted))), None
+        state = _alarm_faded(model, state._replace(bank=wrapped(predicted)))
+        return state, _without_readings(state, state) if measured else None
 
     instant = _instant(model, state, epoch, predicted, rows)
     gated = _pass_gate(model, state, instant)

@@ -14,6 +14,7 @@ from fnn_ekf_ros.core.adaptation import Adaptation, AdaptationMode
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.bank import Bank, Noise
+from fnn_ekf_ros.core.frozen import Unchanged, start_unchanged
 from fnn_ekf_ros.core.gate import OPEN_GATE, Gate, GateState, start_gate
 from fnn_ekf_ros.core.joint_filters import (
     JOINT_COUNT,
@@ -123,6 +124,7 @@ class FilterState(NamedTuple):
         relocation_hypothesis: where rejected readings show the robot.
         lead: `(3, *batch)` recent log likelihood ratio of each of `SUSPECTS` [nats].
         pace: times since the last readings.
+        unchanged: the last readings that did not change, by which frozen sensors are found.
     """
 
     bank: Bank
@@ -133,6 +135,7 @@ class FilterState(NamedTuple):
     relocation_hypothesis: RelocationHypothesis
     lead: FloatArray
     pace: Pace
+    unchanged: Unchanged
 
     def has_relocation_hypothesis(self, model: FilterModel) -> bool:
         """Return whether the bank has the relocation hypothesis's filter, its last one."""
@@ -191,6 +194,7 @@ def start_filter(
         relocation_hypothesis=no_hypothesis(batch),
         lead=np.zeros((len(SUSPECTS), *batch)),
         pace=start_pace(batch),
+        unchanged=start_unchanged(batch),
     )
 
 

@@ -1,25 +1,22 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Sensors whose readings stay the same while the wheels move the robot."""
+"""What diagnostics say of sensors that the filter found to be frozen (`core.frozen`)."""
 
 from typing import NamedTuple
 
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
+from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.diagnostics.messages import SensorMessage
 from fnn_ekf_ros.diagnostics.noise_words import Values
-from fnn_ekf_ros.diagnostics.wheel_distances import WheelDistances
-from fnn_ekf_ros.timeline.events import CompassYaw, PoseFix, Sensor
-from fnn_ekf_ros.timeline.inputs import Counts
+from fnn_ekf_ros.timeline.events import Sensor
+from fnn_ekf_ros.timeline.initialization import AwaitingStart
 
-FROZEN_READINGS = 5
-"""Consecutive identical readings from which on a sensor may count as frozen: noise hardly repeats
-all digits even twice, but a driver may send one reading again."""
-FROZEN_DISTANCE = 0.5
-"""Distance by which the wheels move the robot meanwhile for fixes to count as frozen [m]: more than
-the resolution of any fix."""
-FROZEN_ROTATION = 0.5
-"""Rotation by the wheels meanwhile for a compass to count as frozen [rad]: more than the resolution
-of any compass, and more than wheel slip on a straight path."""
+_FROZEN = (
+    (Sensor.COMPASS, COMPASS, SensorMessage.FROZEN_YAW),
+    (Sensor.LRF_POSE, LRF_POSE, SensorMessage.FROZEN_FIX),
+)
+"""Each sensor with its index in the core, and what is said of it."""
 
 
 class FrozenReadings(NamedTuple):
@@ -27,9 +24,9 @@ class FrozenReadings(NamedTuple):
 
     Attributes:
         message: what diagnostics say of them.
-        readings: number of identical readings.
-        distance: by which the wheels moved the robot meanwhile [m].
-        rotation: by which they turned it [rad].
+        readings: number of readings with the same value, but for a small jitter.
+        distance: length of the path by the wheels meanwhile [m].
+        rotation: by which the wheels rotated the robot meanwhile [rad].
     """
 
     message: SensorMessage
@@ -46,64 +43,18 @@ class FrozenReadings(NamedTuple):
         )
 
 
-class FrozenSensor:
-    """Compares consecutive readings of a sensor.
-
-    Args:
-        sensor: the compass or the fixes.
-        meters_per_count: distance of a wheel's rim.
-        wheel_separation: distance between the wheels [m].
-    """
-
-    def __init__(self, sensor: Sensor, meters_per_count: float, wheel_separation: float) -> None:
-        self._sensor = sensor
-        self._meters_per_count, self._separation = meters_per_count, wheel_separation
-        self._value: tuple[float, ...] = ()
-        self._same = 0
-        self._since: WheelDistances | None = None
-        self._now: WheelDistances | None = None
-
-    def saw(self, event: CompassYaw | PoseFix) -> None:
-        """Take a reading in."""
-        value = (event.yaw,) if isinstance(event, CompassYaw) else tuple(map(float, event.pose[:2]))
-        if value == self._value:
-            self._same += 1
-        else:
-            self._value, self._same, self._since = value, 1, self._now
-
-    def closed(self, counts: Counts) -> None:
-        """Take the wheels' counts at the end of a period in."""
-        if counts.left is None or counts.right is None:
-            self.forget()
-            return
-        self._now = WheelDistances(
-            counts.left * self._meters_per_count, counts.right * self._meters_per_count
+def frozen_sensors(state: FilterState | AwaitingStart) -> dict[Sensor, FrozenReadings]:
+    """Return the sensors that are frozen, with their readings; none before the filter runs."""
+    if isinstance(state, AwaitingStart):
+        return {}
+    unchanged = state.unchanged
+    return {
+        sensor: FrozenReadings(
+            message=message,
+            readings=int(unchanged.readings[index]),
+            distance=float(unchanged.distance[index]),
+            rotation=abs(float(unchanged.rotation[index])),
         )
-        if self._since is None:
-            self._since = self._now
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self._value, self._same, self._since, self._now = (), 0, None, None
-
-    def fault(self) -> FrozenReadings | None:
-        """Return the readings that should have changed; None if there are none."""
-        if self._same < FROZEN_READINGS or self._since is None or self._now is None:
-            return None
-        driven = self._now.since(self._since)
-        distance, rotation = abs(driven.distance()), abs(driven.rotation(self._separation))
-        if self._sensor is Sensor.LRF_POSE and distance >= FROZEN_DISTANCE:
-            return FrozenReadings(
-                message=SensorMessage.FROZEN_FIX,
-                readings=self._same,
-                distance=distance,
-                rotation=rotation,
-            )
-        if self._sensor is Sensor.COMPASS and rotation >= FROZEN_ROTATION:
-            return FrozenReadings(
-                message=SensorMessage.FROZEN_YAW,
-                readings=self._same,
-                distance=distance,
-                rotation=rotation,
-            )
-        return None
+        for sensor, index, message in _FROZEN
+        if unchanged.frozen[index]
+    }

@@ -20,7 +20,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     symptoms_of,
 )
 from fnn_ekf_ros.diagnostics.filter_status import Failures, FilterFacts, filter_status
-from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, FrozenSensor
+from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, frozen_sensors
 from fnn_ekf_ros.diagnostics.messages import (
     LAST_REFUSAL,
     EncoderMessage,
@@ -57,7 +57,6 @@ from fnn_ekf_ros.timeline.events import (
     Status,
     WheelCount,
 )
-from fnn_ekf_ros.timeline.filter_model import wheel_geometry
 from fnn_ekf_ros.timeline.initialization import AwaitingStart
 from fnn_ekf_ros.timeline.inputs import Counts, LeftOut
 from fnn_ekf_ros.timeline.wheels import BufferChange
@@ -101,11 +100,6 @@ class DiagnosticsReport:
         self._encoders = EncoderStatus(parameters)
         self._time = TimeStatus()
         self._failures = Failures()
-        geometry = wheel_geometry(parameters)
-        self._frozen = {
-            sensor: FrozenSensor(sensor, geometry.meters_per_count, geometry.wheel_separation)
-            for sensor in (Sensor.COMPASS, Sensor.LRF_POSE)
-        }
         self._explained_by: dict[Sensor, int] = {}
         self._reported_move: Move | None = None
 
@@ -128,7 +122,6 @@ class DiagnosticsReport:
         else:
             sensor = Sensor.COMPASS if isinstance(event, CompassYaw) else Sensor.LRF_POSE
             self._heard[sensor].at(event.stamp_ns)
-            self._frozen[sensor].saw(event)
             if sensor is Sensor.LRF_POSE:
                 self._stood_ns = 0
 
@@ -167,8 +160,6 @@ class DiagnosticsReport:
         self._stood_ns = 0
         self._failures = self._failures._replace(end_ns=None)
         self._encoders.restarted()
-        for frozen in self._frozen.values():
-            frozen.forget()
         self._explained_by.clear()
         self._reported_move = None
         self._time.restarted(from_ns, to_ns)
@@ -194,8 +185,6 @@ class DiagnosticsReport:
             estimate: what came of it.
         """
         self._encoders.closed(end_ns, complete, counts, estimate)
-        for frozen in self._frozen.values():
-            frozen.closed(counts)
         period_s = self._parameters.period
         if complete and estimate is not None and stands(estimate.twist * period_s, period_s):
             self._stood_ns += round(period_s * 1e9)
@@ -229,7 +218,7 @@ class DiagnosticsReport:
             now_ns,
             refused=Sensor.ENCODERS in self._new_refusal,
         )
-        frozen = {sensor: each.fault() for sensor, each in self._frozen.items()}
+        frozen = frozen_sensors(state)
         found = self._isolate(now_ns, encoders, frozen, recent)
         moved = new_move(self._reported_move, recent)
         self._reported_move = moved or self._reported_move
@@ -258,7 +247,7 @@ class DiagnosticsReport:
     def _measuring(
         self,
         now_ns: int,
-        frozen: dict[Sensor, FrozenReadings | None],
+        frozen: dict[Sensor, FrozenReadings],
         found: FaultIsolation,
         recent: RecentPeriods | None,
     ) -> Iterator[Status]:
@@ -269,13 +258,13 @@ class DiagnosticsReport:
             (Sensor.LRF_POSE, readings.lrf_pose, True),
         ):
             common = self._sensor(sensor, now_ns, expected=expected)
-            yield measuring_status(common, frozen[sensor], symptoms_of(of_sensor), found)
+            yield measuring_status(common, frozen.get(sensor), symptoms_of(of_sensor), found)
 
     def _isolate(
         self,
         now_ns: int,
         encoders: Status,
-        frozen: dict[Sensor, FrozenReadings | None],
+        frozen: dict[Sensor, FrozenReadings],
         recent: RecentPeriods | None,
     ) -> FaultIsolation:
         """Return the sensor that does not fit, unless a fault that is seen already explains it."""
@@ -283,7 +272,7 @@ class DiagnosticsReport:
             return NO_FAULT
         if encoders.level is not Level.OK:
             self._explained_by[Sensor.ENCODERS] = now_ns
-        self._explained_by |= {sensor: now_ns for sensor, fault in frozen.items() if fault}
+        self._explained_by |= dict.fromkeys(frozen, now_ns)
         found = isolate_fault(recent, self._parameters.wheel_separation)
         explained = {
             sensor

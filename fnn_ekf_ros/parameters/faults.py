@@ -212,6 +212,15 @@ class Frozen(Fault):
 
     topic: str = _topic(TOPICS)
     duration: float = _duration()
+    jitter: float = parameter(
+        0.0, "Std of noise on a fix's x and y or the compass's yaw; 0 for the encoders.",
+        "m or rad", at_least=0.0, at_most=1e3,
+    )  # fmt: skip
+
+    def check(self) -> None:
+        """Refuse a jitter of the encoders."""
+        if self.jitter and self.topic not in FIXES:
+            raise refusal("jitter", self.jitter, "0 for the encoders")
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from fnn_ekf_ros.parameters.faults import (
     Reordered,
 )
 from fnn_ekf_ros.simulation.robot import STEP_S
-from fnn_ekf_ros.simulation.spoiling import SPOILERS, spoiled, with_stamp
+from fnn_ekf_ros.simulation.spoiling import SPOILERS, jittered, spoiled, with_stamp
 
 STEP_NS = round(STEP_S * 1e9)
 """Length of a step of the simulation [ns]."""
@@ -100,6 +100,8 @@ class _Freezing(Stage[Frozen]):
             self._last = sent.message
         header = sent.message.fields.get("header")
         frozen = self._last if header is None else with_stamp(self._last, header.fields["stamp"])
+        if self._fault.jitter:
+            frozen = jittered(frozen, self._fault.jitter, self._rng)
         return (sent._replace(message=frozen),)
 
 

@@ -36,6 +36,19 @@ def with_stamp(message: Message, stamp: Message) -> Message:
     return _with(message, header=_with(message.fields["header"], stamp=stamp))
 
 
+def jittered(message: Message, std: float, rng: np.random.Generator) -> Message:
+    """Return a fix with noise on x and y, or a message of the compass with noise on its yaw.
+
+    Args:
+        message: the fix, or that of the compass.
+        std: standard deviation of the noise [m or rad].
+        rng: source of the noise.
+    """
+    if message.type_name == messages.COMPASS_TYPE:
+        return _turned(message, std * rng.standard_normal())
+    return _moved(message, *(std * rng.standard_normal(2)))
+
+
 def spoiled(fault: Fault, message: Message, rng: np.random.Generator) -> Message:
     """Return what a fault makes of a message.
 

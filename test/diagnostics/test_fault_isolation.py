@@ -21,7 +21,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     isolate_fault,
     symptoms_of,
 )
-from fnn_ekf_ros.diagnostics.frozen import FROZEN_READINGS, FrozenReadings, FrozenSensor
+from fnn_ekf_ros.diagnostics.frozen import FrozenReadings
 from fnn_ekf_ros.diagnostics.messages import SensorMessage
 from fnn_ekf_ros.diagnostics.recent_periods import (
     LASTING,
@@ -32,8 +32,7 @@ from fnn_ekf_ros.diagnostics.recent_periods import (
     SensorReadings,
 )
 from fnn_ekf_ros.diagnostics.sensor_status import measuring_status
-from fnn_ekf_ros.timeline.events import CompassYaw, Level, PoseFix, Sensor, Status
-from fnn_ekf_ros.timeline.inputs import Counts
+from fnn_ekf_ros.timeline.events import Level, Sensor, Status
 
 ALL = READINGS + LASTING
 RIGHT = Readings((1.0,) * ALL, (1,) * ALL, (False,) * READINGS)
@@ -200,52 +199,3 @@ def test_other_troubles_of_a_sensor_come_first() -> None:
     assert ("rejected of the last readings", "9") in status.values
     assert ("last readings", "20") in status.values
     assert ("identical readings", "7") in status.values
-
-
-def fix(x: float) -> PoseFix:
-    return PoseFix(0, np.array([x, 0.0, 0.0]), np.eye(3))
-
-
-def test_a_fix_that_stays_while_the_wheels_drive_is_frozen() -> None:
-    sensor = FrozenSensor(Sensor.LRF_POSE, 0.01, 0.6)
-    for period in range(12):
-        sensor.closed(Counts(10.0 * period, 10.0 * period))
-        assert sensor.fault() is None
-        sensor.saw(fix(0.1 * period))
-    for period in range(12, 17):
-        sensor.closed(Counts(10.0 * period, 10.0 * period))
-        sensor.saw(fix(1.1))
-    fault = sensor.fault()
-    assert fault is not None
-    assert fault.message == "frozen: the position does not change while the wheels move the robot"
-    assert fault.values() == (
-        ("identical readings", "6"),
-        ("distance by the wheels meanwhile [m]", "0.50"),
-        ("rotation by the wheels meanwhile [rad]", "0.00"),
-    )
-    sensor.saw(fix(1.2))
-    assert sensor.fault() is None
-
-
-def test_sensors_of_a_robot_at_rest_are_not_frozen() -> None:
-    for sensor, reading in (
-        (FrozenSensor(Sensor.LRF_POSE, 0.01, 0.6), fix(1.0)),
-        (FrozenSensor(Sensor.COMPASS, 0.01, 0.6), CompassYaw(0, 1.0)),
-    ):
-        for _ in range(3 * FROZEN_READINGS):
-            sensor.closed(Counts(7.0, 9.0))
-            sensor.saw(reading)
-        assert sensor.fault() is None
-
-
-def test_a_compass_is_frozen_by_rotations_and_not_by_distances() -> None:
-    sensor = FrozenSensor(Sensor.COMPASS, 0.01, 0.6)
-    for period in range(20):
-        sensor.closed(Counts(10.0 * period, 10.0 * period))
-        sensor.saw(CompassYaw(0, 1.0))
-    assert sensor.fault() is None
-    sensor.closed(Counts(190.0, 225.0))
-    fault = sensor.fault()
-    assert fault is not None
-    assert fault.message == "frozen: the yaw does not change while the wheels rotate the robot"
-    assert dict(fault.values())["rotation by the wheels meanwhile [rad]"] == "0.58"

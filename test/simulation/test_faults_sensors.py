@@ -43,6 +43,7 @@ from fnn_ekf_ros.parameters.faults import (
     WrongUnit,
     ZeroQuaternion,
 )
+from fnn_ekf_ros.parameters.schema import ParameterError
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 
 # What is measured.
@@ -116,6 +117,26 @@ def test_what_is_frozen_from_the_start_repeats_its_first_value() -> None:
     assert set(counts(drive(2.0, [Frozen(start=0.0, topic="left_ticks")]))) == {
         counts(drive(2.0))[0]
     }
+
+
+@pytest.mark.parametrize(("topic", "axes"), [("lrf_pose", [0, 1]), ("compass", [2])])
+def test_what_is_frozen_with_jitter_scatters_about_the_last_value(
+    topic: str, axes: list[int]
+) -> None:
+    lasting = {"start": 4.0, "duration": 30.0}
+    heard = on(drive(35.0, [Frozen(topic=topic, jitter=1e-3, **lasting)]), topic)
+    last = [e for e in heard if e.time < 4.0][-1]
+    frozen = within(heard, 4.0, 34.0)
+    change = off(frozen, [last] * len(frozen))
+    others = [axis for axis in range(3) if axis not in axes and topic == "lrf_pose"]
+    np.testing.assert_allclose(change[:, others], 0.0, atol=1e-12)
+    scatter = np.sqrt(np.mean(change[:, axes] ** 2))
+    assert abs(scatter / 1e-3 - 1.0) < 4.0 / np.sqrt(2.0 * len(frozen) * len(axes))
+
+
+def test_a_jitter_of_the_encoders_is_refused() -> None:
+    with pytest.raises(ParameterError, match="jitter"):
+        Frozen(start=1.0, topic="left_ticks", jitter=1e-3)
 
 
 def test_not_a_number_stands_where_it_should() -> None:
