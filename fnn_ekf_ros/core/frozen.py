@@ -23,12 +23,13 @@ on a straight path, beside a sensor that repeats its value exactly because it is
 sensor is used again with its next change.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.core.arrays import BoolArray, Constant, FloatArray, Row, against
+from fnn_ekf_ros.core.arrays import BoolArray, Constant, FloatArray, Row
 from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE, SENSOR_COUNT, SENSOR_OF_ROW
 
@@ -52,10 +53,16 @@ of any compass, and more than wheel slip on a straight path."""
 WHEEL_ERROR = 0.1
 """Rotation that the wheels report on a straight path although there is none [rad/m]: that of radii
 that differ by 5 % at a wheel separation of 0.5 m."""
-_TRACKED = (Row.X, Row.Y, Row.COMPASS_YAW)
-"""Rows whose readings are compared; they are the first ones."""
-_SIGN = Constant([1.0, -1.0])
-"""Sign of a rotation to the left and to the right."""
+_TRACKED = slice(Row.X, Row.COMPASS_YAW + 1)
+"""Rows whose readings are compared: x, y and compass yaw."""
+_SENSOR_OF_TRACKED = SENSOR_OF_ROW[_TRACKED]
+"""Index of the sensor that measures each of them."""
+_DISTANCE, _ROTATION, _DISPLACEMENT, _TURNED = (
+    slice(first, first + SENSOR_COUNT) for first in range(0, 4 * SENSOR_COUNT, SENSOR_COUNT)
+)
+"""Places in `Unchanged.travel`."""
+_SENSOR_OF_TRAVEL = np.array([COMPASS, LRF_POSE] * 2 + [LRF_POSE] * 2 + [COMPASS] * 2)
+"""Index of the sensor since whose readings each entry of `Unchanged.travel` counts."""
 
 
 class Unchanged(NamedTuple):
@@ -66,35 +73,43 @@ class Unchanged(NamedTuple):
     Attributes:
         mean: `(3, *batch)` mean of these readings: x, y, compass yaw (m, m, rad).
         readings: `(2, *batch)` number of them, of each sensor; 0 before the first.
-        distance: `(2, *batch)` length of the path since the first of them [m].
-        rotation: `(2, *batch)` rotation since then [rad].
-        displacement: `(2, *batch)` [x, y] of the robot since the first of the fixes, in the frame
-            of the robot at that time [m].
-        turned: `(2, *batch)` rotation to the left and to the right that a compass has to show
-            [rad].
+        travel: `(8, *batch)` motion of the wheels since then; see the properties (m, rad).
         frozen: `(2, *batch)` whether each sensor is frozen.
     """
 
     mean: FloatArray
     readings: FloatArray
-    distance: FloatArray
-    rotation: FloatArray
-    displacement: FloatArray
-    turned: FloatArray
+    travel: FloatArray
     frozen: BoolArray
+
+    @property
+    def distance(self) -> FloatArray:
+        """`(2, *batch)` length of the path since the first of these readings of a sensor [m]."""
+        return self.travel[_DISTANCE]
+
+    @property
+    def rotation(self) -> FloatArray:
+        """`(2, *batch)` rotation since then [rad]."""
+        return self.travel[_ROTATION]
+
+    @property
+    def displacement(self) -> FloatArray:
+        """`(2, *batch)` [x, y] since the first of the fixes, in the robot's frame then [m]."""
+        return self.travel[_DISPLACEMENT]
+
+    @property
+    def turned(self) -> FloatArray:
+        """`(2, *batch)` rotation to the left and right that a correct compass shows [rad]."""
+        return self.travel[_TURNED]
 
 
 def start_unchanged(batch: tuple[int, ...]) -> Unchanged:
     """Return the memory before the first reading."""
-    none = np.zeros((SENSOR_COUNT, *batch))
     return Unchanged(
-        mean=np.zeros((len(_TRACKED), *batch)),
-        readings=none,
-        distance=none,
-        rotation=none,
-        displacement=none,
-        turned=none,
-        frozen=none.astype(np.bool_),
+        mean=np.zeros((len(_SENSOR_OF_TRACKED), *batch)),
+        readings=np.zeros((SENSOR_COUNT, *batch)),
+        travel=np.zeros((len(_SENSOR_OF_TRAVEL), *batch)),
+        frozen=np.zeros((SENSOR_COUNT, *batch), dtype=np.bool_),
     )
 
 
@@ -108,59 +123,65 @@ def without_frozen(
         epoch: the step of the wheels, and the readings at its end.
         measurement_noise: configured diagonal of R, rows as in `Row` (m^2, m^2, rad^2, rad^2).
     """
-    moved = _moved(before, epoch.control)
-    available = epoch.available
-    if not available.any():
+    moved = before._replace(travel=_travel_after(before.travel, epoch.control))
+    if not epoch.available.any():
         return moved, epoch
-    after = _compared(moved, epoch, measurement_noise)
+    after = _compared(moved, epoch, _tolerance(measurement_noise))
     if not after.frozen.any():
         return after, epoch
-    return after, epoch._replace(available=available & ~after.frozen[SENSOR_OF_ROW])
+    return after, epoch._replace(available=epoch.available & ~after.frozen[SENSOR_OF_ROW])
 
 
-def _moved(before: Unchanged, control: FloatArray) -> Unchanged:
-    """Return the memory after a step of the wheels `(2, *batch)`, [dS, dtheta] (m, rad)."""
+def _travel_after(travel: FloatArray, control: FloatArray) -> FloatArray:
+    """Return `Unchanged.travel` after a step of the wheels `(2, *batch)`, [dS, dtheta] (m, rad)."""
     distance, rotation = control
     length = abs(distance)
-    middle = before.rotation[LRF_POSE] + 0.5 * rotation
-    turned = before.turned + (rotation * _SIGN.behind(rotation.ndim) - WHEEL_ERROR * length)
-    return before._replace(
-        distance=before.distance + length,
-        rotation=before.rotation + rotation,
-        displacement=before.displacement + distance * np.array([np.cos(middle), np.sin(middle)]),
-        turned=np.maximum(turned, 0.0),
+    middle = travel[_ROTATION][LRF_POSE] + 0.5 * rotation
+    x, y = distance * np.cos(middle), distance * np.sin(middle)
+    error = WHEEL_ERROR * length
+    after: FloatArray = travel + np.array(
+        [length, length, rotation, rotation, x, y, rotation - error, -rotation - error]
     )
+    np.maximum(after[_TURNED], 0.0, out=after[_TURNED])
+    return after
 
 
-def _compared(moved: Unchanged, epoch: Epoch, measurement_noise: tuple[float, ...]) -> Unchanged:
-    """Return the memory after readings."""
-    available = epoch.available[: len(_TRACKED)]
-    measured = _by_sensor(available)
-    change = np.where(available, epoch.measurement[: len(_TRACKED)] - moved.mean, 0.0)
+def _compared(moved: Unchanged, epoch: Epoch, tolerance: Constant) -> Unchanged:
+    """Return the memory after readings; `tolerance` `(3,)` is the largest jitter (m, m, rad)."""
+    available = epoch.available[_TRACKED]
+    change = np.where(available, epoch.measurement[_TRACKED] - moved.mean, 0.0)
     change[Row.COMPASS_YAW] = wrap_angle(change[Row.COMPASS_YAW])
-    std = np.sqrt(measurement_noise[: len(_TRACKED)])
-    close = abs(change) <= against(np.minimum(JITTER, JITTER_STDS * std), change)
-    same = _by_sensor(close) & (moved.readings > 0.0)
-    changed, kept = measured & ~same, measured & same
+    close = available & (abs(change) <= tolerance.behind(change.ndim - 1))
+    measured = _by_sensor(available)
+    kept = _by_sensor(close) & (moved.readings > 0.0)
+    changed = measured & ~kept
     readings = np.where(changed, 1.0, moved.readings + kept)
-    rows = SENSOR_OF_ROW[: len(_TRACKED)]
-    share = np.where(measured, 1.0 / np.maximum(readings, 1.0), 0.0)
-    fixes_changed, compass_changed = changed[LRF_POSE], changed[COMPASS]
-    displacement = np.where(fixes_changed, 0.0, moved.displacement)
-    turned = np.where(compass_changed, 0.0, moved.turned)
-    far = np.empty(measured.shape, dtype=np.bool_)
-    far[COMPASS] = turned.max(axis=0) >= FROZEN_ROTATION
-    far[LRF_POSE] = np.hypot(displacement[0], displacement[1]) >= FROZEN_DISTANCE
-    freezes = kept & (readings >= FROZEN_READINGS) & far
+    share = measured / np.maximum(readings, 1.0)
+    travel = np.where(changed[_SENSOR_OF_TRAVEL], 0.0, moved.travel)
+    frozen = moved.frozen & ~changed
+    many = kept & (readings >= FROZEN_READINGS)
+    if many.any():
+        frozen |= many & _far(travel)
     return Unchanged(
-        mean=moved.mean + share[rows] * change,
+        mean=moved.mean + share[_SENSOR_OF_TRACKED] * change,
         readings=readings,
-        distance=np.where(changed, 0.0, moved.distance),
-        rotation=np.where(changed, 0.0, moved.rotation),
-        displacement=displacement,
-        turned=turned,
-        frozen=(moved.frozen & ~changed) | freezes,
+        travel=travel,
+        frozen=frozen,
     )
+
+
+def _far(travel: FloatArray) -> BoolArray:
+    """Return whether the wheels moved the robot clearly since each sensor's reading, `(2, ...)`."""
+    far = np.empty((SENSOR_COUNT, *travel.shape[1:]), dtype=np.bool_)
+    far[COMPASS] = travel[_TURNED].max(axis=0) >= FROZEN_ROTATION
+    far[LRF_POSE] = np.hypot(*travel[_DISPLACEMENT]) >= FROZEN_DISTANCE
+    return far
+
+
+@lru_cache(maxsize=16)
+def _tolerance(measurement_noise: tuple[float, ...]) -> Constant:
+    """Return the largest distance of unchanged readings from their mean, `(3,)` (m, m, rad)."""
+    return Constant(np.minimum(JITTER, JITTER_STDS * np.sqrt(measurement_noise[_TRACKED])))
 
 
 def _by_sensor(tracked: BoolArray) -> BoolArray:

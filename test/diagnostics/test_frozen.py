@@ -65,8 +65,7 @@ def test_each_frozen_sensor_is_told_with_its_own_numbers() -> None:
     state = start_filter(model, np.zeros(3), np.diag([0.01, 0.01, 0.018]))
     unchanged = state.unchanged._replace(
         readings=np.array([7.0, 11.0]),
-        distance=np.array([0.1, 1.25]),
-        rotation=np.array([-0.4, 0.2]),
+        travel=np.array([0.1, 1.25, -0.4, 0.2, 0.0, 0.0, 0.0, 0.0]),
     )
     assert frozen_sensors(state._replace(unchanged=unchanged)) == {}
     only_fixes = unchanged._replace(frozen=np.array([False, True]))
