@@ -23,6 +23,7 @@ from localizers import (
     time_values,
 )
 
+from fnn_ekf_ros.core.rows import LRF_POSE
 from fnn_ekf_ros.timeline.events import CompassYaw, Event, PoseFix, PoseReset, Wheel, WheelCount
 
 POSE = {"initial_pose": [0.1, -0.1, 0.2], "initial_pose_std": [0.2, 0.2, 0.1]}
@@ -217,3 +218,32 @@ def test_a_pose_that_is_set_twice_at_one_stamp_is_the_last_one() -> None:
     outputs = [o for w in Wheel for o in localizer.add(WheelCount(end, w, 0), end)]
     assert outputs[-1].estimate is not None
     assert outputs[-1].estimate.state.mean[0] == 3.0
+
+
+@pytest.mark.parametrize("adaptation", ["none", "joint"])
+@pytest.mark.slow
+def test_frozen_fixes_that_are_late_are_found_as_those_in_time(adaptation: str) -> None:
+    """Periods that are run again decide anew; when all fixes are in, the pose is the same."""
+    arrivals = simulated(12, 16.0, "joint_states").arrivals
+    first_ns, end_ns = (START_NS + seconds * SECOND_NS for seconds in (8, 14))
+    fixes = [a.event for a in arrivals if isinstance(a.event, PoseFix)]
+    (stuck, *_) = (fix for fix in fixes if fix.stamp_ns >= first_ns)
+    frozen = [
+        a._replace(event=stuck._replace(stamp_ns=a.event.stamp_ns))
+        if isinstance(a.event, PoseFix) and a.event.stamp_ns > first_ns
+        else a
+        for a in arrivals
+        if not (isinstance(a.event, PoseFix) and a.event.stamp_ns > end_ns)
+    ]
+    late_pipeline = make_pipeline(**JOINTS, adaptation=adaptation)
+    late = estimates(feed(late_pipeline, late_fixes(frozen, 900_000_000)))[-1]
+    in_time = estimates(feed(make_pipeline(**JOINTS, adaptation=adaptation), frozen))[-1]
+    same_estimates([late], [in_time])
+    assert time_values(late_pipeline)["periods run again for late inputs"] != "0"
+    assert late.estimate is not None
+    assert in_time.estimate is not None
+    assert late.estimate.state.unchanged.frozen[LRF_POSE]
+    for one, other in zip(
+        late.estimate.state.unchanged, in_time.estimate.state.unchanged, strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
