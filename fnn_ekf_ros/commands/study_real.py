@@ -28,16 +28,20 @@ from fnn_ekf_ros.parameters.schema import ParameterError, build
 from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.reports.result_folder import prepare_study
-from fnn_ekf_ros.study.filters import EKF, JOINT, SET_BY_NAMES, localizer_models
-from fnn_ekf_ros.study.real_bags import read_recording, run_filters
+from fnn_ekf_ros.study.filters import EKF, EKF_GATED, FIXED, JOINT, SET_BY_NAMES, localizer_models
+from fnn_ekf_ros.study.real import batch_start
+from fnn_ekf_ros.study.real_bags import read_periods, read_recording, run_filters
 from fnn_ekf_ros.study.report.real_figures import draw_real
-from fnn_ekf_ros.study.report.real_tables import real_tables, rows
+from fnn_ekf_ros.study.report.real_tables import across_numbers, real_tables, rows
 from fnn_ekf_ros.study.report.tables import start_words
 from fnn_ekf_ros.study.starts import ALL_CELLS, with_noise_factors
+from fnn_ekf_ros.study.taught import Teacher, check_same_robot, teacher_from_file
 from fnn_ekf_ros.version import version
 
 NAME = "real"
 """Name of the subcommand."""
+BAG_SUFFIXES = (".mcap", ".db3")
+"""Endings of a file that is a recording; another one is a state file."""
 SUMMARY = "recordings with a ground truth, from 25 starts with wrong noise"
 """Its line in `study --help`."""
 
@@ -57,7 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--filters", metavar="A,B", default=JOINT,
-        help=f"names of the localizer's filters beside the EKF ({JOINT})",
+        help=f"names of the localizer's filters beside {' and '.join(FIXED)} ({JOINT})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--state-file", metavar="BAG|FILE", type=Path,
+        help="noise that the filters that adapt start with: what each of their starts learned on "
+        "this recording, or what a localizer's state_file holds",
     )  # fmt: skip
     add_json_argument(parser)
     add_parameter_arguments(parser)
@@ -73,26 +82,37 @@ def run(arguments: argparse.Namespace) -> int:
             raise FnnEkfError(
                 f"parameter '{name}': it follows from the names of the filters; expected another"
             )
-    labels = [path.stem if path.is_file() else path.resolve().name for path in arguments.bags]
+    labels = [_label(path) for path in arguments.bags]
     if len(set(labels)) < len(labels):
         raise FnnEkfError(f"{', '.join(labels)}: expected bags of different names")
     out = arguments.out
     settings = [_parameters(path, arguments) for path in arguments.bags]
     possible = [name for name in localizer_models(settings[0][0]) if name != EKF]
-    names = [EKF, *chosen_names("--filters", arguments.filters, possible)]
+    chosen = chosen_names("--filters", arguments.filters, possible)
+    names = [*FIXED, *(name for name in chosen if name != EKF_GATED)]
+    teacher = _teacher(arguments, settings[0][0])
+    if teacher is not None:
+        for label, (parameters, _) in zip(labels, settings, strict=True):
+            check_same_robot(teacher, label, parameters)
     recordings = [
         read_recording(path, label, *each, arguments.truth_topic, arguments.remappings)
         for path, label, each in zip(arguments.bags, labels, settings, strict=True)
     ]
     inputs = [*arguments.bags, *arguments.params]
+    if arguments.state_file is not None:
+        inputs.append(arguments.state_file)
     numbers = prepare_study(out, ["results.md"], arguments.json, inputs)
 
     made_by = {
-        "study": NAME, "version": version(), "filters": names[1:],
+        "study": NAME, "version": version(), "filters": names[len(FIXED) :],
         "parameters": dict(parse_assignment(text) for text in arguments.assignments),
     }  # fmt: skip
-    results = [run_filters(recording, names) for recording in recordings]
-    content = {**made_by, "bags": [rows(result) for result in results]}
+    results = [run_filters(recording, names, teacher) for recording in recordings]
+    content = {
+        **made_by,
+        "summary": across_numbers(results),
+        "bags": [rows(result) for result in results],
+    }
     write_json(numbers, content)
     write_text(out / "results.md", real_tables(made_by, results))
     for recording, result in zip(recordings, results, strict=True):
@@ -103,6 +123,35 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"{out}: {', '.join(labels)} from {len(ALL_CELLS)} starts, {', '.join(names)}")
     print(f"{out / 'results.md'}: the tables")
     return 0
+
+
+def _label(path: Path) -> str:
+    return path.stem if path.is_file() else path.resolve().name
+
+
+def _teacher(arguments: argparse.Namespace, robot: LocalizerParameters) -> Teacher | None:
+    """Return what `--state-file` names.
+
+    Args:
+        arguments: of the command.
+        robot: parameters of the robot that a state file has to be of.
+
+    Raises:
+        FnnEkfError: it cannot be used.
+    """
+    path = arguments.state_file
+    if path is None:
+        return None
+    if not path.exists():
+        raise FnnEkfError(
+            f"--state-file '{path}' does not exist: expected a recording, or the state_file of a "
+            "localizer"
+        )
+    if path.is_file() and path.suffix not in BAG_SUFFIXES:
+        return teacher_from_file(path, robot)
+    label, (parameters, _) = _label(path), _parameters(path, arguments)
+    periods = read_periods(path, label, parameters, arguments.remappings)
+    return Teacher(label, parameters, batch_start(parameters, periods, ALL_CELLS))
 
 
 def _parameters(path: Path, arguments: argparse.Namespace) -> tuple[LocalizerParameters, list[str]]:

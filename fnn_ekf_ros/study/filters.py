@@ -36,10 +36,14 @@ ORACLE = "oracle"
 """Name of the EKF that knows the true noise of each step."""
 EKF = "ekf"
 """Name of the EKF without a gate."""
+EKF_GATED = "ekf_gated"
+"""Name of the EKF with the localizer's gate."""
 JOINT = "joint"
 """Name of the filter in mode joint."""
 DEAD_RECKONING = "dead_reckoning"
 """Name of the filter that takes no readings."""
+FIXED = (EKF, EKF_GATED)
+"""Names of the EKFs whose noise stays as it is."""
 BANK = "multiple_model"
 """Name of the bank of 81 EKFs."""
 SLOWEST = (BANK, JOINT, "rq_centroid")
@@ -79,7 +83,7 @@ def _of_the_paper(mode: str, sets: str) -> LocalizerFilter:
 
 LOCALIZER_FILTERS = (
     LocalizerFilter(EKF, "EKF", PLAIN | NO_GATE),
-    LocalizerFilter("ekf_gated", "EKF with gate", PLAIN),
+    LocalizerFilter(EKF_GATED, "EKF with gate", PLAIN),
     LocalizerFilter(JOINT, "FNN-EKF joint", {"adaptation": "joint"}),
     *(_of_the_paper(mode, sets) for mode in ("rq", "r", "q") for sets in ("published", "trained")),
     LocalizerFilter(

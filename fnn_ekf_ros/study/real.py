@@ -19,7 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray, Row, components_first, components_last
+from fnn_ekf_ros.core.arrays import (
+    STATE_SIZE,
+    FloatArray,
+    Row,
+    components_first,
+    components_last,
+)
 from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
@@ -35,6 +41,9 @@ from fnn_ekf_ros.timeline.filter_model import filter_model
 from fnn_ekf_ros.timeline.initialization import AwaitingStart, wait
 from fnn_ekf_ros.timeline.inputs import PeriodInputs
 from fnn_ekf_ros.timeline.period import Period, run_period, state_at_begin
+
+POSITION_SIZE = 2
+"""Number of components of an error whose yaw is not known: x and y."""
 
 
 class PeriodRecorder:
@@ -80,6 +89,18 @@ class BatchStart(NamedTuple):
     stamps_ns: tuple[int, ...]
 
 
+class StartNoise(NamedTuple):
+    """Noise of n starts that replaces their own, as a warm start's replaces the configured one.
+
+    Attributes:
+        process: `(n, 2)` diagonal of Q (m^2, rad^2).
+        measurement: `(n, 4)` diagonal of R, rows as in `Row`.
+    """
+
+    process: FloatArray
+    measurement: FloatArray
+
+
 class Run(NamedTuple):
     """Estimates of a filter from every start.
 
@@ -103,13 +124,17 @@ class RealScore(NamedTuple):
         rmse: `(n, 3)` root mean square error (m, m, rad); NaN yaw if truth has none.
         position: `(n,)` of the distance [m].
         furthest: `(n,)` largest distance [m].
-        median_nees: `(n,)` median of e' P^-1 e over time; NaN if truth has no yaw.
+        median_nees: `(n,)` median of e' P^-1 e over time.
+        mean_nees: `(n,)` mean of it.
+        nees_size: number of components of e: 3, or 2 (x and y alone) if truth has no yaw.
     """
 
     rmse: FloatArray
     position: FloatArray
     furthest: FloatArray
     median_nees: FloatArray
+    mean_nees: FloatArray
+    nees_size: int
 
 
 def recording_localizer(parameters: LocalizerParameters) -> tuple[Localizer, PeriodRecorder]:
@@ -120,7 +145,10 @@ def recording_localizer(parameters: LocalizerParameters) -> tuple[Localizer, Per
 
 
 def batch_start(
-    parameters: LocalizerParameters, periods: Sequence[Period], cells: Sequence[Cell]
+    parameters: LocalizerParameters,
+    periods: Sequence[Period],
+    cells: Sequence[Cell],
+    taught: StartNoise | None = None,
 ) -> BatchStart:
     """Return the starts of all cells, as the localizer finds them.
 
@@ -128,18 +156,23 @@ def batch_start(
         parameters: with the noise that a factor of 1 stands for.
         periods: in which a filter starts, or has started before.
         cells: how wrong the starts are.
+        taught: noise that replaces the cells'; covariances that fixes report then count once.
 
     Raises:
         ParameterError: the noise of a cell would leave its bounds.
     """
     networks = networks_for(parameters)
-    taken, states, models = 0, [], []
+    taken, states, noises = 0, [], []
     rest: tuple[Epoch, ...] = ()
-    for cell in cells:
+    for index, cell in enumerate(cells):
         model = filter_model(with_noise_factors(parameters, cell), networks)
-        taken, state, rest = _first_state(model, cell, periods)
+        noise = np.asarray(model.process_noise), np.asarray(model.measurement_noise)
+        factor = cell.k
+        if taught is not None:
+            noise, factor = (taught.process[index], taught.measurement[index]), 1.0
+        taken, state, rest = _first_state(model, noise, factor, periods)
         states.append(state)
-        models.append(model)
+        noises.append(noise)
     period_ns = round(parameters.period * 1e9)
     following = periods[taken:]
     return BatchStart(
@@ -147,8 +180,8 @@ def batch_start(
         start=Start(
             mean=np.stack([state.mean for state in states]),
             covariance=np.stack([state.covariance for state in states]),
-            process_noise=np.array([model.process_noise for model in models]),
-            measurement_noise=np.array([model.measurement_noise for model in models]),
+            process_noise=np.stack([Q for Q, _ in noises]),
+            measurement_noise=np.stack([R for _, R in noises]),
         ),
         rest=rest,
         inputs=tuple(period.inputs for period in following),
@@ -230,19 +263,29 @@ def score_starts(run: Run, truth: FloatArray) -> RealScore:
     known = np.isfinite(truth[:, 0])
     error = pose_errors(run.mean[known], truth[known, None])
     rmse = np.sqrt(np.mean(error[..., :2] ** 2, axis=0))
-    yaw = nees = np.full(error.shape[1], np.nan)
+    yaw, covariance = np.full(error.shape[1], np.nan), run.covariance[known]
     with_yaw = np.isfinite(truth[known, 2])
     if np.any(with_yaw):
-        e, P = error[with_yaw], run.covariance[known][with_yaw]
-        yaw = np.sqrt(np.mean(e[..., 2] ** 2, axis=0))
-        nees = np.median(np.sum(e * np.linalg.solve(P, e[..., None])[..., 0], axis=-1), axis=0)
-        yaw, nees = _or_infinite(yaw), _or_infinite(nees)
+        size = STATE_SIZE
+        yaw = _or_infinite(np.sqrt(np.mean(error[with_yaw, :, 2] ** 2, axis=0)))
+        nees = _nees(error[with_yaw], covariance[with_yaw])
+    else:
+        size = POSITION_SIZE
+        nees = _nees(error[..., :size], covariance[..., :size, :size])
     return RealScore(
         rmse=np.column_stack([_or_infinite(rmse), yaw]),
         position=_or_infinite(np.hypot(rmse[:, 0], rmse[:, 1])),
         furthest=_or_infinite(np.max(np.hypot(error[..., 0], error[..., 1]), axis=0)),
-        median_nees=nees,
+        median_nees=_or_infinite(np.median(nees, axis=0)),
+        mean_nees=_or_infinite(np.mean(nees, axis=0)),
+        nees_size=size,
     )
+
+
+def _nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return e' P^-1 e, `(...)`, of errors `(..., m)` with covariances `(..., m, m)`."""
+    weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.asarray(np.sum(error * weighted, axis=-1))
 
 
 def diverged(score: RealScore, best_position: float) -> FloatArray:
@@ -262,16 +305,24 @@ def rows_measured(batch: BatchStart) -> tuple[Row, ...]:
 
 
 def _first_state(
-    model: FilterModel, cell: Cell, periods: Sequence[Period]
+    model: FilterModel,
+    noise: tuple[FloatArray, FloatArray],
+    factor: float,
+    periods: Sequence[Period],
 ) -> tuple[int, FilterState, tuple[Epoch, ...]]:
-    """Return how many periods the filter of a cell needs to start, its first state, and the rest.
+    """Return how many periods a filter needs to start, its first state, and the rest.
 
     What it sees in the rest of the last of these periods it remembers, so it has still to see it.
+
+    Args:
+        model: the filter.
+        noise: Q `(2,)` and R `(4,)` to start with.
+        factor: of the covariances that fixes report.
+        periods: in which it starts, or has started before.
     """
-    noise = np.asarray(model.process_noise), np.asarray(model.measurement_noise)
     before = periods[0].before
     if isinstance(before, FilterState):
-        return 0, start_filter(model, before.mean, before.covariance), ()
+        return 0, start_filter(model, before.mean, before.covariance, *noise), ()
     state: FilterState | AwaitingStart = AwaitingStart(
         *noise, given_pose=before.given_pose, given_covariance=before.given_covariance
     )
@@ -279,7 +330,7 @@ def _first_state(
         state = state_at_begin(model, state, period.inputs)
         if isinstance(state, FilterState):  # from `initial_pose`
             return taken - 1, state, ()
-        inputs = _reported_times(period.inputs, cell.k)
+        inputs = _reported_times(period.inputs, factor)
         if inputs.reset is not None:
             state, _ = run_period(model, state, inputs._replace(epochs_after_reset=()))
             assert isinstance(state, FilterState)

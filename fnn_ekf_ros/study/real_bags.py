@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray, Row
 from fnn_ekf_ros.core.state import FilterModel
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -18,7 +18,7 @@ from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in, last_words, tak
 from fnn_ekf_ros.recordings.scoring import interpolate
 from fnn_ekf_ros.recordings.trajectories import read_trajectory
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.study.filters import EKF, localizer_models
+from fnn_ekf_ros.study.filters import EKF_GATED, FIXED, localizer_models
 from fnn_ekf_ros.study.real import (
     BatchStart,
     RealScore,
@@ -32,7 +32,9 @@ from fnn_ekf_ros.study.real import (
     score_starts,
 )
 from fnn_ekf_ros.study.starts import ALL_CELLS
+from fnn_ekf_ros.study.taught import Teacher, taught_noise
 from fnn_ekf_ros.timeline.initialization import AwaitingStart
+from fnn_ekf_ros.timeline.period import Period
 
 
 class RealRecording(NamedTuple):
@@ -42,6 +44,7 @@ class RealRecording(NamedTuple):
         label: the bag's name.
         parameters: of the localizer; their noise is what a factor of 1 stands for.
         parameter_files: where they are from.
+        periods: of the localizer, with its wait for the start.
         batch: starts and periods.
         truth: `(T, 3)` true poses at the start and at each period's end; NaN where not known.
     """
@@ -49,6 +52,7 @@ class RealRecording(NamedTuple):
     label: str
     parameters: LocalizerParameters
     parameter_files: list[str]
+    periods: tuple[Period, ...]
     batch: BatchStart
     truth: FloatArray
 
@@ -75,6 +79,20 @@ class FilterResult(NamedTuple):
     position_with_noise_found: FloatArray
 
 
+class Reference(NamedTuple):
+    """The fixed EKF with the gate that is best in position, which takes a ground truth to find.
+
+    Attributes:
+        start: index of its start in `ALL_CELLS`.
+        position: its position RMSE [m].
+        yaw: its yaw RMSE [rad]; NaN if truth has none.
+    """
+
+    start: int
+    position: float
+    yaw: float
+
+
 class BagResult(NamedTuple):
     """Results of the filters on a recording.
 
@@ -87,8 +105,10 @@ class BagResult(NamedTuple):
         duration_s: from the first estimate to the last [s].
         estimates: how many.
         scored: how many of them with a known truth.
-        best_position: position RMSE of the best EKF [m].
-        filters: the EKF first.
+        taught_by: what the filters that adapt have their start's noise from; empty for the starts'
+            own.
+        reference: what the filters are compared with.
+        filters: the fixed EKFs first.
     """
 
     label: str
@@ -99,7 +119,8 @@ class BagResult(NamedTuple):
     duration_s: float
     estimates: int
     scored: int
-    best_position: float
+    taught_by: str
+    reference: Reference
     filters: tuple[FilterResult, ...]
 
 
@@ -111,7 +132,7 @@ def read_recording(
     truth_topic: str,
     remappings: list[str],
 ) -> RealRecording:
-    """Take a bag through the localizer once, for its periods.
+    """Take a bag through the localizer once, for its periods, and read the truth.
 
     Args:
         path: the bag.
@@ -124,10 +145,42 @@ def read_recording(
     Raises:
         BagError: the bag cannot be used.
     """
+    with BagReader(path) as bag:
+        truth = read_trajectory(bag, truth_topic)
+    periods = read_periods(path, label, parameters, remappings)
+    batch = batch_start(parameters, periods, ALL_CELLS)
+    true_pose = np.full((1 + len(batch.inputs), 3), np.nan)
+    if len(truth.time_ns) > 1:
+        true_pose = interpolate(truth, np.array([batch.stamp_ns, *batch.stamps_ns]))
+    if not np.any(np.isfinite(true_pose[1:, 0])):
+        raise BagError(f"bag '{path}': odom and {truth_topic} have no time in common")
+    return RealRecording(
+        label=label,
+        parameters=parameters,
+        parameter_files=files,
+        periods=periods,
+        batch=batch,
+        truth=true_pose,
+    )
+
+
+def read_periods(
+    path: Path, label: str, parameters: LocalizerParameters, remappings: list[str]
+) -> tuple[Period, ...]:
+    """Take a bag through the localizer once; return the periods, a filter starts in one of them.
+
+    Args:
+        path: the bag.
+        label: its name.
+        parameters: of the localizer.
+        remappings: `FROM:=TO` of the command line.
+
+    Raises:
+        BagError: the bag cannot be used.
+    """
     localizer, recorder = recording_localizer(parameters)
     names = TopicNames(remappings)
     with BagReader(path) as bag:
-        truth = read_trajectory(bag, truth_topic)
         inputs = inputs_in(bag, parameters, names)
         for record in with_progress(bag.records(), bag.message_count, f"{label}: reading"):
             take(localizer, bag, record, inputs)
@@ -142,43 +195,44 @@ def read_recording(
             f"bag '{path}' gives no odom: expected encoders, fixes and a yaw that start the "
             f"filter; {last_words(localizer)}"
         )
-    batch = batch_start(parameters, periods, ALL_CELLS)
-    true_pose = np.full((1 + len(batch.inputs), 3), np.nan)
-    if len(truth.time_ns) > 1:
-        true_pose = interpolate(truth, np.array([batch.stamp_ns, *batch.stamps_ns]))
-    if not np.any(np.isfinite(true_pose[1:, 0])):
-        raise BagError(f"bag '{path}': odom and {truth_topic} have no time in common")
-    return RealRecording(
-        label=label, parameters=parameters, parameter_files=files, batch=batch, truth=true_pose
-    )
+    return tuple(periods)
 
 
-def run_filters(recording: RealRecording, names: Sequence[str]) -> BagResult:
+def run_filters(
+    recording: RealRecording, names: Sequence[str], teacher: Teacher | None = None
+) -> BagResult:
     """Run the filters and score them.
+
+    Args:
+        recording: the bag.
+        names: of the filters; the fixed EKFs first.
+        teacher: gives the filters that adapt the noise they start with; None for the starts' own.
 
     Raises:
         FnnEkfError: a filter failed.
     """
     models = localizer_models(recording.parameters)
-    runs = {name: _run(recording, name, models[name].model) for name in names}
+    runs = {
+        name: _run(_prepared(recording, name, teacher), name, models[name].model) for name in names
+    }
     scores = {name: score_starts(each, recording.truth) for name, each in runs.items()}
-    best = float(np.min(scores[EKF].position))
+    reference = _reference(scores[EKF_GATED])
     filters = []
     for name, ended in runs.items():
         found = scores[name].position
-        if name != EKF:
+        if name not in FIXED:
             start = recording.batch.start._replace(
                 process_noise=ended.process_noise, measurement_noise=ended.measurement_noise
             )
             again = recording._replace(batch=recording.batch._replace(start=start))
-            rerun = _run(again, f"EKF on noise of {name}", models[EKF].model)
+            rerun = _run(again, f"EKF on noise of {name}", models[EKF_GATED].model)
             found = score_starts(rerun, recording.truth).position
         filters.append(
             FilterResult(
                 name=name,
                 label=models[name].label,
                 score=scores[name],
-                diverged=diverged(scores[name], best),
+                diverged=diverged(scores[name], reference.position),
                 process_noise_std=np.sqrt(ended.process_noise),
                 measurement_noise_std=np.sqrt(ended.measurement_noise),
                 position_with_noise_found=found,
@@ -194,9 +248,29 @@ def run_filters(recording: RealRecording, names: Sequence[str]) -> BagResult:
         duration_s=1e-9 * (stamps[-1] - recording.batch.stamp_ns),
         estimates=len(recording.truth),
         scored=int(np.sum(np.isfinite(recording.truth[:, 0]))),
-        best_position=best,
+        taught_by="" if teacher is None else teacher.label,
+        reference=reference,
         filters=tuple(filters),
     )
+
+
+def _reference(score: RealScore) -> Reference:
+    """Return the best of the fixed EKFs with the gate."""
+    best = int(np.argmin(score.position))
+    return Reference(
+        start=best,
+        position=float(score.position[best]),
+        yaw=float(score.rmse[best, STATE_SIZE - 1]),
+    )
+
+
+def _prepared(recording: RealRecording, name: str, teacher: Teacher | None) -> RealRecording:
+    """Return a recording with the starts of a filter, of what it was taught if it adapts."""
+    if teacher is None or name in FIXED:
+        return recording
+    noise = taught_noise(teacher, name)
+    batch = batch_start(recording.parameters, recording.periods, ALL_CELLS, noise)
+    return recording._replace(batch=batch)
 
 
 def _run(recording: RealRecording, name: str, model: FilterModel) -> Run:

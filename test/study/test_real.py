@@ -200,13 +200,18 @@ def test_scores() -> None:
     np.testing.assert_allclose(found.rmse[0], [math.sqrt(3.0), math.sqrt(16.0 / 3.0), turn])
     np.testing.assert_allclose(found.position, [math.sqrt(25.0 / 3.0), math.inf])
     np.testing.assert_allclose(found.furthest, [5.0, math.inf])
+    # With a yaw at the first and the last estimate only: 25 + turn^2 and turn^2.
     np.testing.assert_allclose(found.median_nees, [12.5 + turn**2, math.inf])
+    np.testing.assert_allclose(found.mean_nees, [12.5 + turn**2, math.inf])
+    assert found.nees_size == 3
     assert diverged(found, 0.6).tolist() == [0.0, 1.0]
     assert diverged(found, 0.4).tolist() == [1.0, 1.0]
     truth[:, 2] = math.nan
     without_yaw = score_starts(run, truth)
     assert np.all(np.isnan(without_yaw.rmse[:, 2]))
-    assert np.all(np.isnan(without_yaw.median_nees))
+    np.testing.assert_allclose(without_yaw.median_nees, [0.0, math.inf])
+    np.testing.assert_allclose(without_yaw.mean_nees, [25.0 / 3.0, math.inf])
+    assert without_yaw.nees_size == 2
 
 
 @pytest.mark.slow
@@ -214,7 +219,7 @@ def test_the_command(tmp_path: Path, succeed: Succeed, recorded: Path) -> None:
     out = tmp_path / "new" / "out"
     said = succeed("study", "real", recorded, "--out", out, "--filters", "joint, r_published")
     assert said == (
-        f"{out}: recorded from 25 starts, ekf, joint, r_published\n"
+        f"{out}: recorded from 25 starts, ekf, ekf_gated, joint, r_published\n"
         f"{out / 'results.md'}: the tables\n"
     )
     assert {path.name for path in out.iterdir()} == {
@@ -233,10 +238,17 @@ def test_the_command(tmp_path: Path, succeed: Succeed, recorded: Path) -> None:
     assert bag["rows"] == ["x", "y", "compass_yaw"]
     assert bag["process_noise_std"] == list(beside.process_noise_std)
     rows = {(row["filter"], row["q"], row["k"]): row for row in bag["results"]}
-    assert len(rows) == len(bag["results"]) == 3 * len(ALL_CELLS)
-    fixed = [rows["ekf", *cell] for cell in ALL_CELLS]
-    assert min(row["rmse_position"] for row in fixed) == bag["best_position"]
+    assert len(rows) == len(bag["results"]) == 4 * len(ALL_CELLS)
+    fixed = [rows["ekf_gated", *cell] for cell in ALL_CELLS]
+    reference = bag["reference"]
+    best = rows[reference["filter"], reference["q"], reference["k"]]
+    assert min(row["rmse_position"] for row in fixed) == reference["rmse_position"]
+    assert (best["ratio"], best["rmse_theta"]) == (1.0, reference["rmse_theta"])
     assert min(row["ratio"] for row in fixed) == 1.0
+    assert [row["filter"] for row in bag["summary"]] == [row["filter"] for row in found["summary"]]
+    assert bag["summary"][1]["worst_ratio"] == max(row["ratio"] for row in fixed)
+    assert found["summary"][2]["median_ratio"] == pytest.approx(bag["summary"][2]["median_ratio"])
+    assert bag["taught_by"] == ""
     assert all(row["rmse_position_with_noise_found"] == row["rmse_position"] for row in fixed)
     wrong = rows["ekf", 25.0, 0.04]
     np.testing.assert_allclose(
@@ -247,7 +259,7 @@ def test_the_command(tmp_path: Path, succeed: Succeed, recorded: Path) -> None:
     table = (out / "results.md").read_text()
     assert "`study real recorded --filters joint,r_published`" in table
     assert table.count("| FNN-EKF joint | ") == 2
-    assert table.count("| q = 1/25 | ") == 3
+    assert table.count("| q = 1/25 | ") == 4
 
 
 @pytest.mark.slow
@@ -292,6 +304,7 @@ def test_the_same_numbers_as_replay_and_evaluate(
         ),
         (["-p", "encoder_source:=joint_states", "-r", "joint_states:=/no"], "has no topic /no"),
         (["-p", "frame_id:=odom"], "gives no odom: expected encoders, fixes and a yaw"),
+        (["--state-file", "missing.yaml"], "--state-file 'missing.yaml' does not exist"),
         (["--json", "nowhere/numbers.json"], "there is no folder 'nowhere'"),
     ],
 )
@@ -362,7 +375,7 @@ def test_joint_is_near_the_best_fixed_filter_from_every_start_on_brenner(
     succeed("study", "real", tmp_path / name, "--out", tmp_path / "out")
     (bag,) = json.loads((tmp_path / "out" / "results.json").read_text())["bags"]
     # Fixes at 4 Hz: 0.0271 when only the last one of a period counted.
-    assert bag["best_position"] == pytest.approx(0.0281, abs=0.0005)
+    assert bag["reference"]["rmse_position"] == pytest.approx(0.0281, abs=0.0005)
     assert bag["rows"] == ["x", "y", "lrf_yaw"]
     ratios = {
         name: [row["ratio"] for row in bag["results"] if row["filter"] == name]
@@ -370,5 +383,5 @@ def test_joint_is_near_the_best_fixed_filter_from_every_start_on_brenner(
     }
     assert max(ratios["ekf"]) > 5.0
     assert max(ratios["joint"]) < 2.0
-    assert all(row["median_nees"] is None for row in bag["results"])
-    assert (tmp_path / "out" / "results.md").read_text().count("| n/a | n/a | n/a |") == 2
+    assert all(row["nees_size"] == 2 for row in bag["summary"])
+    assert (tmp_path / "out" / "results.md").read_text().count("| n/a | n/a | ") == 3

@@ -34,7 +34,7 @@ def draw_real(path: Path, result: BagResult) -> None:
     figure = new_figure(1.6 + 3.8 * columns, 0.8 + 3.9 * lines, fixed_aspect=True)
     panels = figure.subplots(lines, columns, squeeze=False)
     norm = LogNorm(TICKS[0], TICKS[-1])
-    best, image = result.best_position, None
+    best, image = result.reference.position, None
     for panel, each in zip(panels.flat, result.filters, strict=False):
         ratio = each.score.position.reshape(len(FACTORS), len(FACTORS)) / best
         image = heat_map(panel, ratio, COLORS, norm, lambda ratio: _words(ratio, best))
@@ -47,7 +47,7 @@ def draw_real(path: Path, result: BagResult) -> None:
         panel.set_visible(False)
     figure.suptitle(
         f"{shown_text(result.label)}: position RMSE [m] from {len(FACTORS) ** 2} starts\n"
-        f"(ratio to the best EKF's, {_meters(best)} m); q = k = 1: the noise of the parameters",
+        f"(ratio to the best EKF with gate, {_meters(best)} m); q = k = 1: noise of the parameters",
         fontsize=11,
     )
     color_bar(figure, image, panels, TICKS, "ratio")
