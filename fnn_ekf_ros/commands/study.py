@@ -3,7 +3,8 @@
 
 """`study NAME`: what every filter makes of many runs; tables, figures, JSON.
 
-`study paper`, `grid` and `dynamic` are here; `real`, `faults` and `rates` have their own modules.
+`study paper`, `grid` and `dynamic` are here; `real`, `faults`, `rates` and `lasting` have their own
+modules.
 """
 
 import argparse
@@ -11,7 +12,7 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import NamedTuple
 
-from fnn_ekf_ros.commands import study_faults, study_rates, study_real
+from fnn_ekf_ros.commands import study_faults, study_lasting, study_rates, study_real
 from fnn_ekf_ros.commands.arguments import (
     Range,
     add_folder_argument,
@@ -60,7 +61,7 @@ class OwnModule(NamedTuple):
 
 OWN_MODULES = {
     module.NAME: OwnModule(module.SUMMARY, module.add_arguments, module.run)
-    for module in (study_real, study_faults, study_rates)
+    for module in (study_real, study_faults, study_rates, study_lasting)
 }
 """The studies with modules of their own, by name."""
 

@@ -16,7 +16,7 @@ from faults.rows import ROWS
 from places import ROOT
 
 from fnn_ekf_ros import cli
-from fnn_ekf_ros.commands import study_faults, study_rates, study_real
+from fnn_ekf_ros.commands.study import OWN_MODULES
 from fnn_ekf_ros.core import relocation
 from fnn_ekf_ros.diagnostics.messages import MESSAGES, NAMES
 from fnn_ekf_ros.localizer import localizer
@@ -32,7 +32,7 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs
 EVERY_DOCUMENT = pytest.mark.parametrize(
     "path", DOCUMENTS, ids=[str(path.relative_to(ROOT)) for path in DOCUMENTS]
 )
-STUDY_NAMES = {*STUDIES, study_real.NAME, study_faults.NAME, study_rates.NAME}
+STUDY_NAMES = {*STUDIES, *OWN_MODULES}
 NS = 1e9
 
 

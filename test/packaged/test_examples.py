@@ -16,7 +16,7 @@ import pytest
 from documents import COMMAND, DOCUMENTS, ROOT, Block, blocks, examples, files, read
 
 from fnn_ekf_ros.cli import run_command
-from fnn_ekf_ros.commands import study_rates
+from fnn_ekf_ros.commands import study_lasting, study_rates
 from fnn_ekf_ros.messages import INPUT_TYPES, ODOM
 from fnn_ekf_ros.parameters.fake_robot import NODE_NAME as FAKE_ROBOT
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -46,6 +46,7 @@ SHORTER = {
     "simulate run --duration 60": "--duration 10",
     "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan --jobs 1",
     "study rates": "--runs 2 --fixes 4 --jobs 1",
+    "study lasting": "--runs 2 --steps 10 --jobs 1",
 }
 """Arguments put behind those of an example that would take minutes or hours: the last one wins."""
 PLAY = f"{COMMAND}play "
@@ -149,6 +150,7 @@ def test_the_commands_of_a_document_run(
     for name, study in STUDIES.items():  # pictures take most of the time; they have other tests
         monkeypatch.setitem(STUDIES, name, study._replace(figures=lambda *_: None))
     monkeypatch.setattr(study_rates, "draw_rates", lambda *_: None)
+    monkeypatch.setattr(study_lasting, "draw_lasting", lambda *_: None)
     monkeypatch.setattr(rates, "RATE_CASES", rates.RATE_CASES[:2])
     for name, text in files(block.document).items():
         (tmp_path / name).write_text(text)

@@ -15,6 +15,8 @@ w = dtheta of the wheels, c = s sin(w/2) / (w/2) the chord and d = theta + w/2 i
 (Bar-Shalom, Li and Kirubarajan 2001, chapters 5 and 10; the motion is the arc's.)
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import STATE_OF_ROW, STATE_SIZE, FloatArray
@@ -25,6 +27,36 @@ from fnn_ekf_ros.study.recording import Start
 SMALL_HALF_TURN = 1e-4
 """Half rotation below which the derivative of the chord is its series' first term [rad]: the
 quotient would lose its digits."""
+YAW = STATE_SIZE - 1
+"""Component of the state that is an angle."""
+
+
+class Moved(NamedTuple):
+    """The motion of n robots.
+
+    Attributes:
+        mean: `(n, 3)` x- (m, m, rad), the yaw not wrapped.
+        A: `(n, 3, 3)` its derivative by x.
+        W: `(n, 3, 2)` its derivative by u.
+    """
+
+    mean: FloatArray
+    A: FloatArray
+    W: FloatArray
+
+
+class Corrected(NamedTuple):
+    """An estimate after a measurement.
+
+    Attributes:
+        mean: `(n, s)` x, the yaw wrapped.
+        covariance: `(n, s, s)` P.
+        nis: `(n,)` r' S^-1 r.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    nis: FloatArray
 
 
 def run(recording: TimedRecording, start: Start) -> tuple[FloatArray, FloatArray]:
@@ -41,21 +73,21 @@ def run(recording: TimedRecording, start: Start) -> tuple[FloatArray, FloatArray
     x, P = start.mean.copy(), start.covariance.copy()
     means, covariances = [], []
     for k, duration_s in enumerate(recording.duration_s):
-        x, P = _predict(x, P, recording.control[k].T, Q * duration_s / NOMINAL_PERIOD_S)
+        x, A, W = move(x, recording.control[k].T)
+        P = A @ P @ transposed(A) + W @ Q @ transposed(W) * duration_s / NOMINAL_PERIOD_S
         rows = np.flatnonzero(recording.available[k])
         if len(rows):
+            H = np.eye(STATE_SIZE)[[STATE_OF_ROW[row] for row in rows]]
             z = recording.measurement[k].T[:, rows]
-            x, P = _correct(x, P, z, R[np.ix_(rows, rows)], [STATE_OF_ROW[row] for row in rows])
+            x, P, _ = correct(x, P, z, H, R[np.ix_(rows, rows)])
         if recording.ends_period[k]:
             means.append(x)
             covariances.append(P)
     return np.array(means), np.array(covariances)
 
 
-def _predict(
-    x: FloatArray, P: FloatArray, u: FloatArray, Q: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return x- and P-, of x `(n, 3)`, P `(n, 3, 3)`, u `(n, 2)` and Q `(2, 2)`."""
+def move(x: FloatArray, u: FloatArray) -> Moved:
+    """Return the motion of poses x `(n, 3)` by the wheels' u `(n, 2)`."""
     s, w = u[:, 0], u[:, 1]
     half = 0.5 * w
     ratio = np.sinc(half / np.pi)  # sin(half) / half
@@ -63,7 +95,7 @@ def _predict(
     divisor = np.where(small, 1.0, half)
     ratio_slope = np.where(small, -half / 3.0, (np.cos(half) - ratio) / divisor)
     chord, chord_by_w = s * ratio, 0.5 * s * ratio_slope
-    cos, sin = np.cos(x[:, 2] + half), np.sin(x[:, 2] + half)
+    cos, sin = np.cos(x[:, YAW] + half), np.sin(x[:, YAW] + half)
 
     A = np.tile(np.eye(STATE_SIZE), (len(x), 1, 1))
     A[:, 0, 2], A[:, 1, 2] = -chord * sin, chord * cos
@@ -72,23 +104,36 @@ def _predict(
     W[:, 0, 1] = chord_by_w * cos - 0.5 * chord * sin
     W[:, 1, 1] = chord_by_w * sin + 0.5 * chord * cos
     W[:, 2, 1] = 1.0
-    moved = x + np.stack([chord * cos, chord * sin, w], axis=-1)
-    return moved, A @ P @ A.transpose(0, 2, 1) + W @ Q @ W.transpose(0, 2, 1)
+    return Moved(x + np.stack([chord * cos, chord * sin, w], axis=-1), A, W)
 
 
-def _correct(
-    x: FloatArray, P: FloatArray, z: FloatArray, R: FloatArray, measured: list[int]
-) -> tuple[FloatArray, FloatArray]:
-    """Return x and P after rows z `(n, m)` with R `(m, m)` of these m components of the state."""
-    H = np.eye(STATE_SIZE)[measured]
+def correct(x: FloatArray, P: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray) -> Corrected:
+    """Return x and P after a measurement z = H x + N(0, R).
+
+    Args:
+        x: `(n, s)` mean; the first three components are the pose.
+        P: `(n, s, s)` its covariance.
+        z: `(n, m)` measured rows; those that measure the yaw are angles.
+        H: `(m, s)`.
+        R: `(m, m)`.
+    """
     r = z - x @ H.T
-    angle = np.array(measured) == STATE_SIZE - 1
-    r = np.where(angle, _plain_angle(r), r)
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    r = np.where(H[:, YAW] != 0.0, _plain_angle(r), r)
+    S_inverse = np.linalg.inv(H @ P @ H.T + R)
+    K = P @ H.T @ S_inverse
     x = x + (K @ r[:, :, None])[:, :, 0]
-    x[:, 2] = _plain_angle(x[:, 2])
-    rest = np.eye(STATE_SIZE) - K @ H
-    return x, rest @ P @ rest.transpose(0, 2, 1) + K @ R @ K.transpose(0, 2, 1)
+    x[:, YAW] = _plain_angle(x[:, YAW])
+    rest = np.eye(len(H.T)) - K @ H
+    return Corrected(
+        mean=x,
+        covariance=rest @ P @ transposed(rest) + K @ R @ transposed(K),
+        nis=np.einsum("ni,nij,nj->n", r, S_inverse, r),
+    )
+
+
+def transposed(matrices: FloatArray) -> FloatArray:
+    """Return the transposes of matrices `(n, i, j)`."""
+    return matrices.transpose(0, 2, 1)
 
 
 def _plain_angle(angle: FloatArray) -> FloatArray:
