@@ -59,20 +59,17 @@ def run_lasting(
     requests = [(f"{block.path}, block {block.number + 1}", block) for block in blocks]
     with closing(in_any_order(jobs, _Runner, requests, localizers, steps, seed)) as work:
         done = dict(with_progress(work, len(requests), "study lasting"))
+    answers = {
+        path: [done[number] for number, block in enumerate(blocks) if block.path == path]
+        for path in SIMULATIONS
+    }
     return {
         path: {
-            case: {
-                name: _joined([
-                    done[number][case][name]
-                    for number, block in enumerate(blocks)
-                    if block.path == path
-                ])
-                for name in LABELS
-            }
+            case: {name: _joined([each[case][name] for each in parts]) for name in LABELS}
             for case in CASES
         }
-        for path in SIMULATIONS
-    }  # fmt: skip
+        for path, parts in answers.items()
+    }
 
 
 class _Runner:
