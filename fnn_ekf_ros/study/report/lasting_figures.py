@@ -38,7 +38,8 @@ def draw_lasting(out: Path, rows: Sequence[LastingRow]) -> None:
             ideal = CONSISTENT_NEES if quantity == QUANTITIES[-1] else 1.0
             panel.axhline(ideal, color="#999999", ls=":")
             logarithmic(panel)
-    panels[0, 0].legend(fontsize=8)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncol=len(others), fontsize=9)
     figure.suptitle(
         f"Over the {LABELS[KNOWS]}, whole run: right start (dot), from the best start to the worst",
         fontsize=11,
