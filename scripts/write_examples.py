@@ -37,6 +37,11 @@ MEASURED = ("bias.yaml", "late.yaml")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
 """Line of the demo's table whose estimated noise is shown."""
+SHOWN_VALUES = (
+    "suspicion [nats]", "yaw offset [rad]", "yaw offset std [rad]", "parameter that would fit",
+    "lasting errors",
+)  # fmt: skip
+"""Values that are shown with a report."""
 NUMBERS = r"(?:[\d.]+ \| ){3}[\d.]+"
 """Pattern of the numbers in a line of the README's table."""
 LATE = ("in time", "late", "stamped on arrival", "waited for")
@@ -129,6 +134,7 @@ def estimated_noise(folder: Path) -> str:
     found = values(last["filter"])
     names = (
         "adaptation", "process noise", "measurement noise", "estimated noise", "reason:", "weights",
+        "lasting errors",
     )  # fmt: skip
     return "".join(f"    {key}: {found[key]}\n" for key in found if f"{key}:".startswith(names))
 
@@ -148,8 +154,8 @@ def report(after_s: float, folder: Path) -> str:
     for name, status in statuses.items():
         level = Level(int(status.level)).name
         lines.append(f"    {name + ':':<9} {level:<5} {status.message}\n")
-        if name == "filter":
-            lines.append(f"      suspicion [nats]: {values(status)['suspicion [nats]']}\n")
+        shown = {key: value for key, value in values(status).items() if key in SHOWN_VALUES}
+        lines += [f"      {key}: {value}\n" for key, value in shown.items()]
     return "".join(lines)
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from documents import ROOT, read
 
 from fnn_ekf_ros.core import frozen, joint, relocation, suspects
+from fnn_ekf_ros.core.lasting import compass_offset, members
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.diagnostics import (
     fault_isolation,
@@ -97,6 +98,18 @@ THRESHOLDS = (
               fault_isolation.AGREEING),
     Threshold("time for which a fault of the wheels or a frozen sensor explains the rest",
               S * report.EXPLAINED_NS, "s"),
+    Threshold("lasting errors: weight from which on they are believed",
+              100 * members.LASTING_SHARE, "%"),
+    Threshold("yaw that is off: log odds from which on no other sensor is named",
+              compass_offset.LIKELY_AT, "nats"),
+    Threshold("yaw that is off: log odds from which on it is believed", compass_offset.BELIEVED_AT,
+              "nats"),
+    Threshold("yaw that is off: time for which they last", compass_offset.BELIEVED_AFTER_S, "s"),
+    Threshold("yaw that is off: log odds below which it is given up", compass_offset.GIVEN_UP_AT,
+              "nats"),
+    Threshold("turned compass: sum of its innovations to one side", compass_offset.TURNED_AT,
+              "standard deviations"),
+    Threshold("turned compass: time over which it comes about", compass_offset.TURNED_AFTER_S, "s"),
     Threshold("degraded: time of driving without an accepted fix or yaw",
               S * filter_status.NOT_CORRECTED_NS, "s"),
     Threshold("lost: standard deviation of the position", filter_status.LOST_POSITION_STD, "m"),

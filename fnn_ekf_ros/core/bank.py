@@ -14,10 +14,6 @@ inverting a matrix:
     e      the row's innovation after the corrections by the rows before it
     s      the variance of e: the product of all s is det S, the sum of all e^2 / s is r' S^-1 r
     d      the variance of the row's noise
-
-After a row h that measures component i, the entries P_i: are P_i: d / s. They are set to this
-value instead of being calculated as a difference, so that the covariance stays positive definite
-when a precise fix corrects a pose that was almost unknown.
 """
 
 from typing import NamedTuple
@@ -36,6 +32,7 @@ from fnn_ekf_ros.core.arrays import (
 from fnn_ekf_ros.core.covariance import limit_uncertainty
 from fnn_ekf_ros.core.limits import SMALLEST_STD
 from fnn_ekf_ros.core.motion import Motion, MotionModel, move
+from fnn_ekf_ros.core.row_update import Terms, take_row
 from fnn_ekf_ros.core.rows import FIX_ROWS, in_order
 
 Others = tuple[tuple[Row, FloatArray], ...]
@@ -229,7 +226,7 @@ def correct(bank: Bank, seen: Innovations, noise: Noise, rows: BoolArray) -> Cor
     for row, some in in_order(rows):
         if row is Row.COMPASS_YAW:
             fix_nis = nis.copy()
-        e, s = _take_row(x, P, seen.innovation, noise, row, some)
+        e, s = take_row(x, P, *_row(seen.innovation, noise, row), some)
         determinant *= s
         e *= e
         nis += e
@@ -239,98 +236,22 @@ def correct(bank: Bank, seen: Innovations, noise: Noise, rows: BoolArray) -> Cor
     )
 
 
-def _take_row(
-    x: FloatArray,
-    P: FloatArray,
-    innovation: FloatArray,
-    noise: Noise,
-    row: Row,
-    some: BoolArray | None,
-) -> tuple[FloatArray, FloatArray]:
-    """Correct F filters by one row, in place.
+def _row(innovation: FloatArray, noise: Noise, row: Row) -> tuple[Terms, FloatArray, FloatArray]:
+    """Return the terms of a row, its innovation and its noise variance, after whitening.
 
     Args:
-        x: `(3, F, *batch)` correction of the mean so far (m, m, rad); changed.
-        P: `(3, 3, F, *batch)` covariance after the rows so far; changed.
         innovation: `(4, F, *batch)` r of the predictions (m, m, rad, rad).
         noise: of the filters.
         row: which row.
-        some: `(*batch)` robots whose row is taken; None: all of them.
-
-    Returns:
-        e / sqrt(s) and s, each `(F, *batch)`; 0 and 1 where the row is not taken.
     """
-    i, d = STATE_OF_ROW[row], noise.measurement[row]
-    column = P[:, i]
-    e = innovation[row] - x[i]
-    others: Others = ()
-    if noise.coupling is not None:
-        others, part_left = noise.coupling.of_row(row)
-        column, d = column.copy(), d * part_left
-        for other, part in others:
-            j = STATE_OF_ROW[other]
-            column += part * P[:, j]
-            e += part * (innovation[other] - x[j])
-    s = column[i] + d
+    i, e, d = STATE_OF_ROW[row], innovation[row], noise.measurement[row]
+    if noise.coupling is None:
+        return ((i, None),), e, d
+    others, part_left = noise.coupling.of_row(row)
+    terms = tuple((STATE_OF_ROW[other], part) for other, part in others)
     for other, part in others:
-        s += part * column[STATE_OF_ROW[other]]
-    left = d / s
-    root = np.sqrt(s)
-    w = column / root
-    e /= root
-    if some is not None:
-        w, e, s = np.where(some, w, 0.0), np.where(some, e, 0.0), np.where(some, s, 1.0)
-        left = np.where(some, left, 1.0)
-    x += w * e
-    _update_covariance(P, i, w, left * column, others, some)
-    return e, s
-
-
-def _update_covariance(
-    P: FloatArray,
-    i: int,
-    w: FloatArray,
-    product: FloatArray,
-    others: Others,
-    some: BoolArray | None,
-) -> None:
-    """Subtract K s K' from covariances, in place.
-
-    Args:
-        P: `(3, 3, F, *batch)` covariance before the row; changed.
-        i: the component whose part of the row h is 1.
-        w: `(3, F, *batch)` K sqrt(s); 0 where the row is not taken.
-        product: `(3, F, *batch)` P h' after the row.
-        others: the rows of the other components, with their parts of h.
-        some: `(*batch)` robots whose row is taken; None: all of them.
-    """
-    entries = product
-    before = P[:, i].copy() if others else product
-    P -= w[:, None] * w[None]
-    if others:
-        entries = _solved_for(i, product, others, P)
-        if some is not None:  # where the row is not taken nothing changes, not even by rounding
-            entries = np.where(some, entries, before)
-    P[:, i] = entries
-    P[i] = entries
-
-
-def _solved_for(i: int, product: FloatArray, others: Others, P: FloatArray) -> FloatArray:
-    """Return the entries P_:i for a given product P h', where the row h has several components.
-
-    Args:
-        i: the component whose part of h is 1.
-        product: `(3, F, *batch)` P h'.
-        others: the rows of the other components, with their parts of h.
-        P: `(3, 3, F, *batch)`; its entries outside of row and column i are correct.
-    """
-    entries = product.copy()
-    for other, part in others:
-        entries -= part * P[:, STATE_OF_ROW[other]]
-    entries[i] = product[i]
-    for other, part in others:
-        entries[i] -= part * entries[STATE_OF_ROW[other]]
-    return entries
+        e = e + part * innovation[other]
+    return ((i, None), *terms), e, d * part_left
 
 
 def wrapped(bank: Bank) -> Bank:

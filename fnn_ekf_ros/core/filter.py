@@ -12,7 +12,6 @@ Every array has its components first and may have batch dimensions last: a mean 
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,34 +19,32 @@ from fnn_ekf_ros.core.adaptation import Adapted, Scales, adapt
 from fnn_ekf_ros.core.arrays import (
     MEASUREMENT_SIZE,
     STATES_OF_ROWS,
-    BoolArray,
     Constant,
     FloatArray,
     diagonal_of,
 )
 from fnn_ekf_ros.core.bank import (
     Bank,
-    Readings,
     correct,
     innovate,
     noise_of_readings,
     predict,
     wrapped,
 )
-from fnn_ekf_ros.core.evidence import log_likelihood
 from fnn_ekf_ros.core.frozen import without_frozen
-from fnn_ekf_ros.core.gate import (
-    GateDecision,
-    GateState,
-    after_decision,
-    judge,
-    rows_of,
-    teaching,
-)
+from fnn_ekf_ros.core.gated import Gated, gate_after, pass_gate
 from fnn_ekf_ros.core.instant import Instant
-from fnn_ekf_ros.core.joint import Lesson, learn
-from fnn_ekf_ros.core.joint_filters import FORECASTS, step_forecasts
-from fnn_ekf_ros.core.joint_state import JointReport, Learned, fading, noise_in_use, report, stepped
+from fnn_ekf_ros.core.joint_learning import learn_at
+from fnn_ekf_ros.core.joint_state import Learned, fading, noise_in_use, report
+from fnn_ekf_ros.core.lasting.report import report_lasting
+from fnn_ekf_ros.core.lasting_step import (
+    MembersAtInstant,
+    as_white_filters_see,
+    lasting_after,
+    lasting_at_instant,
+    members_at_instant,
+    restarted_from_witness,
+)
 from fnn_ekf_ros.core.pace import (
     NOMINAL_PERIOD_S,
     after_readings,
@@ -55,8 +52,8 @@ from fnn_ekf_ros.core.pace import (
     later,
     scored_rows,
 )
-from fnn_ekf_ros.core.relocation import HypothesisUpdate, nis_by_sensor
-from fnn_ekf_ros.core.relocation_filter import follow_hypothesis, with_hypothesis
+from fnn_ekf_ros.core.relocation import later_hypothesis, nis_by_sensor
+from fnn_ekf_ros.core.relocation_filter import with_hypothesis
 from fnn_ekf_ros.core.results import (
     Epoch,
     Shown,
@@ -66,9 +63,8 @@ from fnn_ekf_ros.core.results import (
 )
 from fnn_ekf_ros.core.rows import FIX_ROWS, Rows, rows_where
 from fnn_ekf_ros.core.state import (
-    JOINT,
-    PUBLISHED,
-    PUBLISHED_INDEX,
+    WHITE,
+    WHITE_INDEX,
     FilterModel,
     FilterState,
     with_noise,
@@ -100,8 +96,7 @@ def step(
             shown.append(seen)
     last = last_of_each_row(shown) if shown else _without_readings(begin, state)
     state, adapted = _adapt_by_mismatch(model, state, last)
-    joint = None if state.joint is None else report(state.joint, last.learned)
-    return state, _step_result(last, adapted, joint, tuple(shown))
+    return state, _step_result(state, last, adapted, tuple(shown))
 
 
 def _adapt_by_mismatch(
@@ -127,9 +122,10 @@ def _adapt_by_mismatch(
 
 
 def _step_result(
-    last: Shown, adapted: Adapted, joint: JointReport | None, shown: tuple[Shown, ...]
+    state: FilterState, last: Shown, adapted: Adapted, shown: tuple[Shown, ...]
 ) -> StepResult:
-    """Return the results of a period."""
+    """Return the results of a period that ends with a state."""
+    joint = None if state.joint is None else report(state.joint, last.learned)
     return StepResult(
         innovation=last.innovation,
         innovation_variance=last.innovation_variance,
@@ -140,6 +136,7 @@ def _step_result(
         firing_strength=adapted.firing_strength if joint is None else joint.firing_strength,
         process_firing_strength=adapted.process_firing_strength,
         joint=joint,
+        lasting=None if state.lasting is None else report_lasting(state.lasting),
         sensor_nis=last.sensor_nis,
         sensor_degrees_of_freedom=last.sensor_degrees_of_freedom,
         rejected=last.rejected,
@@ -172,74 +169,46 @@ def fuse(model: FilterModel, state: FilterState, epoch: Epoch) -> tuple[FilterSt
     elapsed = epoch.duration_s / NOMINAL_PERIOD_S
     Q = elapsed * state.noise.process
     predicted = predict(model.motion_model, state.bank, epoch.control, Q)
-    state = _later(model, state, epoch, elapsed)
+    state = _later(state, epoch, elapsed)
+    state, noise_of_members = lasting_at_instant(model, state, epoch)
     rows = rows_where(epoch.available)
     if not rows.some.any():
+        state, _ = lasting_after(state, epoch, None, None)
         state = _alarm_faded(model, state._replace(bank=wrapped(predicted)))
         return state, _without_readings(state, state) if measured else None
 
+    members = members_at_instant(model, state, epoch, noise_of_members)
     instant = _instant(model, state, epoch, predicted, rows)
-    gated = _pass_gate(model, state, instant)
+    nis = nis_by_sensor(instant.seen, instant.taken, WHITE_INDEX)
+    gated = pass_gate(model, state, instant, nis if members is None else members.seen.nis)
+    state, restart = lasting_after(state, epoch, members, gated)
     scored = scored_rows(state.pace, rows)
     steps = is_step(state.pace, scored)
     bank, lead = _corrected_bank(model, state, instant, gated.corrected, scored)
     learned = None
     if state.joint is not None:
-        state, learned = _learn(model, state, instant, bank, gated.teaches, scored, steps)
+        state, learned = learn_at(model, state, instant, bank, gated.teaches, scored, steps)
     state = state._replace(
         bank=wrapped(bank),
-        gate=_gate_after(model, state, gated),
+        gate=gate_after(model, state, gated),
         lead=lead,
         pace=after_readings(state.pace, rows, scored, steps),
     )
     if gated.relocation is not None:
         state = with_hypothesis(model, state, gated.relocation)
+    state = restarted_from_witness(model, state, restart)
     if learned is not None and state.joint is not None:
         state = with_noise(model, state, *noise_in_use(state.joint, model.adaptation.bounds))
     else:
         state = _alarm_faded(model, state)
-    return state, _shown(model, epoch, instant, gated, learned)
-
-
-class _Gated(NamedTuple):
-    """The readings of an instant after the gate.
-
-    Attributes:
-        decision: which sensors' readings are rejected.
-        corrected: the filters corrected by the accepted rows; at least the published filter and
-            those of joint adaptation.
-        teaches: `(4, *batch)` rows that the noise may be learned from.
-        relocation: the relocation hypothesis after the readings; None without one.
-    """
-
-    decision: GateDecision
-    corrected: Bank
-    teaches: BoolArray
-    relocation: HypothesisUpdate | None
-
-
-def _pass_gate(model: FilterModel, state: FilterState, instant: Instant) -> _Gated:
-    """Gate the readings of an instant, and compare rejected ones with the relocation hypothesis."""
-    available = instant.readings.available
-    nis = nis_by_sensor(instant.seen, instant.taken, PUBLISHED_INDEX)
-    decision = judge(model.gate, state.gate, nis, instant.rows.of_sensor)
-    corrected, teaches = instant.taken.bank, available
-    relocation = None
-    rejects = bool(decision.rejected.any())
-    if rejects:
-        accepted = available & ~rows_of(decision.rejected)
-        corrected = instant.corrected_by(accepted, slice(0, model.layout.suspects.start)).bank
-    if rejects or state.has_relocation_hypothesis(model):
-        relocation = follow_hypothesis(model, state, instant, decision, corrected)
-        teaches = available & rows_of(teaching(state.gate, decision, relocation.explains))
-    return _Gated(decision=decision, corrected=corrected, teaches=teaches, relocation=relocation)
+    shown = _shown(model, epoch, instant, gated, learned)
+    return state, shown if members is None else _as_mixture_shows(shown, members)
 
 
 def _instant(
     model: FilterModel, state: FilterState, epoch: Epoch, predicted: Bank, rows: Rows
 ) -> Instant:
     """Return the instant at the end of an epoch with readings."""
-    readings = Readings(epoch.measurement, epoch.available)
     compared = model.layout.compared
     noise = noise_of_readings(
         state.noise.filters(compared),
@@ -247,6 +216,7 @@ def _instant(
         epoch.fix_covariance,
         epoch.available,
     )
+    readings, noise = as_white_filters_see(state, epoch, noise)
     seen = innovate(predicted.filters(compared), readings, noise.measurement)
     taken = correct(predicted, seen, noise, epoch.available)
     return Instant(
@@ -261,19 +231,19 @@ def _instant(
 
 
 def _shown(
-    model: FilterModel, epoch: Epoch, instant: Instant, gated: _Gated, learned: Learned | None
+    model: FilterModel, epoch: Epoch, instant: Instant, gated: Gated, learned: Learned | None
 ) -> Shown:
     """Return the results of an instant."""
     decision, relocation = gated.decision, gated.relocation
     nowhere = np.zeros(instant.rows.total.shape, dtype=np.bool_)
     return Shown(
-        innovation=instant.seen.innovation[:, PUBLISHED_INDEX],
-        innovation_variance=instant.seen.variance[:, PUBLISHED_INDEX],
+        innovation=instant.seen.innovation[:, WHITE_INDEX],
+        innovation_variance=instant.seen.variance[:, WHITE_INDEX],
         available=epoch.available,
         teaches=gated.teaches,
-        heading=instant.predicted.mean[2, PUBLISHED_INDEX],
+        heading=instant.predicted.mean[2, WHITE_INDEX],
         reported_scale=_reported_scale(model, epoch),
-        nis=instant.taken.nis[PUBLISHED_INDEX],
+        nis=instant.taken.nis[WHITE_INDEX],
         degrees_of_freedom=instant.rows.total,
         sensor_nis=decision.nis,
         sensor_degrees_of_freedom=instant.rows.of_sensor,
@@ -283,29 +253,23 @@ def _shown(
     )
 
 
-def _later(model: FilterModel, state: FilterState, epoch: Epoch, elapsed: float) -> FilterState:
+def _as_mixture_shows(shown: Shown, members: MembersAtInstant) -> Shown:
+    """Return the results of an instant with the innovations of the published mixture."""
+    return shown._replace(
+        innovation=members.seen.mixed,
+        innovation_variance=members.seen.variance,
+        nis=members.seen.nis.sum(axis=0),
+    )
+
+
+def _later(state: FilterState, epoch: Epoch, elapsed: float) -> FilterState:
     """Return the state with all times advanced to the next instant."""
-    joint, hypothesis = state.joint, state.relocation_hypothesis
+    joint = state.joint
     if joint is not None:
         joint = fading(joint, epoch.control, elapsed)
-    if state.has_relocation_hypothesis(model):
-        hypothesis = hypothesis._replace(age_s=hypothesis.age_s + epoch.duration_s)
+    hypothesis = later_hypothesis(state.relocation_hypothesis, epoch.duration_s)
     pace = later(state.pace, elapsed)
     return state._replace(joint=joint, relocation_hypothesis=hypothesis, pace=pace)
-
-
-def _gate_after(model: FilterModel, state: FilterState, gated: _Gated) -> GateState:
-    """Return the gate's memory after the readings; an open gate needs none."""
-    if model.gate.is_open:
-        return state.gate
-    decision, relocation = gated.decision, gated.relocation
-    return after_decision(
-        state.gate,
-        decision,
-        decision.rejected if relocation is None else relocation.agrees,
-        state.pace.sensors,
-        learns=model.adaptation.learns_measurement_noise,
-    )
 
 
 def _corrected_bank(
@@ -317,7 +281,7 @@ def _corrected_bank(
         model: the filter.
         state: before the readings.
         instant: the readings.
-        corrected: at least the published filter and those of joint adaptation, after the readings.
+        corrected: at least the white filter and those of joint adaptation, after the readings.
         scored: rows that are scored.
     """
     bank, which = instant.taken.bank.filters(model.layout.steady), model.layout.suspects
@@ -326,61 +290,10 @@ def _corrected_bank(
         bank.covariance[:, :, : which.start] = corrected.covariance
     if not model.suspects:
         return bank, state.lead
-    suspects, lead = suspects_after(model, state, instant, bank.filters(PUBLISHED), scored)
+    suspects, lead = suspects_after(model, state, instant, bank.filters(WHITE), scored)
     bank.mean[:, which] = suspects.mean
     bank.covariance[:, :, which] = suspects.covariance
     return bank, lead
-
-
-def _learn(
-    model: FilterModel,
-    state: FilterState,
-    instant: Instant,
-    bank: Bank,
-    teaches: BoolArray,
-    scored: Rows,
-    steps: BoolArray,
-) -> tuple[FilterState, Learned | None]:
-    """Learn from scored readings, and step the forecasts in the bank.
-
-    Args:
-        model: the filter.
-        state: before the readings, of mode joint.
-        instant: the readings.
-        bank: all filters after the readings; its forecasts are replaced.
-        teaches: `(4, *batch)` rows that the noise may be learned from.
-        scored: rows that are scored.
-        steps: `(*batch)` whether these are a step of the forecasts.
-    """
-    joint = state.joint
-    assert joint is not None
-    of_joint, ahead = bank.filters(JOINT), instant.predicted.filters(JOINT)
-    of_joint.mean[:, FORECASTS] = ahead.mean[:, FORECASTS]
-    of_joint.covariance[:, :, FORECASTS] = ahead.covariance[:, :, FORECASTS]
-    taught = rows_where(teaches & scored.each)
-    learned = None
-    if taught.some.any():
-        shown, which = instant.taken, JOINT
-        if taught is not instant.rows and not np.array_equal(taught.each, instant.rows.each):
-            shown, which = instant.corrected_by(taught.each, JOINT), slice(None)
-        likelihood = log_likelihood(shown.nis[which], shown.determinant[which], taught.total)
-        seen = instant.seen.filters(JOINT)
-        lesson = Lesson(
-            innovation=seen.innovation,
-            variance=seen.variance,
-            likelihood=likelihood,
-            taught=taught,
-            scored=scored,
-            since_scored=state.pace.scored,
-        )
-        adaptation = model.adaptation
-        sets = adaptation.networks.joint.sets
-        learned = learn(joint, sets, adaptation.bounds, lesson, learning=adaptation.learning)
-        steps = steps & taught.some
-        step_forecasts(of_joint, bank.filters(model.layout.newer_forecasts), steps)
-        joint = stepped(learned.state, steps)
-    control = np.where(scored.some, 0.0, joint.control_since_scored)
-    return state._replace(joint=joint._replace(control_since_scored=control)), learned
 
 
 def _alarm_faded(model: FilterModel, state: FilterState) -> FilterState:

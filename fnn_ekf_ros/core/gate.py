@@ -18,8 +18,8 @@ probability. Three mechanisms keep the gate from rejecting a sensor forever:
     relocation  Rejected readings that agree with each other show another pose (`relocation`); the
                 pose is moved there after some seconds.
 
-The noise is learned from a rejected reading only if the reading before it, or several recent ones,
-were rejected, too, and no other pose explains it: then the assumed noise is too small. So a single
+The noise is learned from a rejected reading only if half of the recent ones were rejected, too, and
+no other pose explains it: then the assumed noise is too small. So a single
 outlier has the same effect as a missing reading, except on which compass readings are scored
 (`pace`) and, in mode joint, on how fast what was learned fades.
 """
@@ -49,9 +49,10 @@ LARGEST_SPREAD_LEARNING = 100.0
 adaptation of R the rest."""
 SHARE_MEMORY = 0.9
 """Factor on the share of rejected readings per reading; the share covers about ten readings."""
-NOISY_SHARE = 0.095
-"""Share of rejected readings from which on the noise is learned from rejected ones. A rejection of
-the reading before leaves 0.1; a single one before that leaves 0.09, which is not enough."""
+NOISY_SHARE = 0.5
+"""Share of rejected readings from which on the noise is learned from rejected ones: a noise
+that is assumed too small by far gets there in seven readings; a third of outliers, scattered or all
+at one place, hardly ever does."""
 
 
 class Gate(NamedTuple):

@@ -154,6 +154,15 @@ def noise_without_alarms(state: JointState, bounds: NoiseBounds) -> tuple[FloatA
     return _scaled(state, state.log_scale[:, SETTLED] * (1.0 - state.start_weight), bounds)
 
 
+def noise_with_part_of_alarms(
+    state: JointState, bounds: NoiseBounds, part: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return Q and R with a part `(*batch)` of the increase by alarms, in log variance."""
+    persistent = state.log_scale[:, SETTLED] * (1.0 - state.start_weight)
+    in_use = _log_scale_in_use(state, _weights(state))
+    return _scaled(state, persistent + part * (in_use - persistent), bounds)
+
+
 def _scaled(
     state: JointState, theta: FloatArray, bounds: NoiseBounds
 ) -> tuple[FloatArray, FloatArray]:

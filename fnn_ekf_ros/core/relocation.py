@@ -14,6 +14,7 @@ against the hypothesis must not exceed that against the published filter by much
 would turn the pose.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +36,16 @@ chance."""
 LARGEST_DISAGREEMENT = 6.0
 """Largest sum of the accepted fixes' NIS against the hypothesis minus that against the published
 filter, for a confirmation by the compass: noise alone rarely exceeds it."""
+
+LASTING_CONFIRMATION_S = 30.0
+"""Time that fixes whose errors last have to confirm it [s]: three time constants of such errors."""
+
+LONGEST_CONFIRMATION_S = 60.0
+"""Longest time that fixes have to confirm it [s]: a robot that was carried off twice is found."""
+RECENT_S = 300.0
+"""Time constant with which earlier relocations are forgotten [s]. Each of them doubles the time of
+confirmation, unless fixes return to where they were before the last one: fixes that jump and come
+back are followed once, and a robot is not carried off twice in a minute."""
 
 ROUNDING_S = 1e-3
 """Tolerance on `CONFIRMATION_S` for the rounding of stamps [s]."""
@@ -62,6 +73,8 @@ class RelocationHypothesis(NamedTuple):
         disagreement: `(*batch)` sum of these fixes' NIS against the hypothesis minus that against
             the published filter.
         spread: `(2, *batch)` the gate's spread when the rejections began.
+        recent: `(*batch)` number of recent relocations, which fade with `RECENT_S`.
+        displacement: `(2, *batch)` of the last relocation [m]; 0 if it undid the one before.
     """
 
     active: BoolArray
@@ -70,6 +83,8 @@ class RelocationHypothesis(NamedTuple):
     supports: FloatArray
     disagreement: FloatArray
     spread: FloatArray
+    recent: FloatArray
+    displacement: FloatArray
 
 
 class HypothesisPrediction(NamedTuple):
@@ -117,6 +132,16 @@ def no_hypothesis(batch: tuple[int, ...]) -> RelocationHypothesis:
         supports=none,
         disagreement=none,
         spread=of_sensors,
+        recent=none,
+        displacement=np.zeros((2, *batch)),
+    )
+
+
+def later_hypothesis(hypothesis: RelocationHypothesis, duration_s: float) -> RelocationHypothesis:
+    """Return the memory after a duration [s]."""
+    return hypothesis._replace(
+        age_s=hypothesis.age_s + duration_s,
+        recent=math.exp(-duration_s / RECENT_S) * hypothesis.recent,
     )
 
 
@@ -137,6 +162,7 @@ def update_hypothesis(
     published: Bank,
     readings: Readings,
     decision: GateDecision,
+    one_cause: FloatArray | float,
 ) -> HypothesisUpdate:
     """Take the hypothesis over the readings of an instant, or start one.
 
@@ -148,6 +174,7 @@ def update_hypothesis(
         published: the published filter after the readings.
         readings: of the instant.
         decision: of the gate.
+        one_cause: `(*batch)` how much rejected fixes that agree may have one cause, 0 to 1.
     """
     rejected, rows, nis = decision.rejected, decision.degrees_of_freedom, prediction.nis
     measured = rows > 0.0
@@ -166,13 +193,16 @@ def update_hypothesis(
             np.where(starts, started.covariance, corrected.covariance),
         )
     )
+    needed_s = CONFIRMATION_S + (LASTING_CONFIRMATION_S - CONFIRMATION_S) * one_cause
+    again = np.where(undoes_last(hypothesis, bank, published), 1.0, 2.0**hypothesis.recent)
+    needed_s = np.minimum(needed_s * again, LONGEST_CONFIRMATION_S)
     known = _position_variance(bank) <= LARGEST_LOSS**2 * _position_variance(published)
     return HypothesisUpdate(
         after,
         bank,
         agrees,
         explains=agrees & (nis < CLEARLY_LESS * decision.nis),
-        confirmed=_is_confirmed(after, rejected, agrees, known),
+        confirmed=_is_confirmed(after, rejected, agrees, known, needed_s),
     )
 
 
@@ -214,7 +244,11 @@ def _memory_after(
 
 
 def _is_confirmed(
-    hypothesis: RelocationHypothesis, rejected: BoolArray, agrees: BoolArray, known: BoolArray
+    hypothesis: RelocationHypothesis,
+    rejected: BoolArray,
+    agrees: BoolArray,
+    known: BoolArray,
+    needed_s: FloatArray,
 ) -> BoolArray:
     """Return whether the published filter is to be moved to the hypothesis, `(*batch)`.
 
@@ -223,8 +257,9 @@ def _is_confirmed(
         rejected: `(2, *batch)` whether the gate rejected each sensor's reading.
         agrees: `(2, *batch)` whether the hypothesis predicts it.
         known: `(*batch)` whether the hypothesis's position is known well enough.
+        needed_s: `(*batch)` time over which readings have to confirm it [s].
     """
-    lasts = hypothesis.age_s > CONFIRMATION_S - ROUNDING_S
+    lasts = hypothesis.age_s > needed_s - ROUNDING_S
     often = hypothesis.confirmations >= CONFIRMATIONS
     enough = rejected & agrees & often & lasts & known
     confirmed: BoolArray = enough[LRF_POSE] | (
@@ -234,6 +269,13 @@ def _is_confirmed(
         & (hypothesis.disagreement <= LARGEST_DISAGREEMENT)
     )
     return confirmed
+
+
+def undoes_last(hypothesis: RelocationHypothesis, place: Bank, published: Bank) -> BoolArray:
+    """Return whether a place undoes the last relocation by more than half, `(*batch)`."""
+    back = place.mean[:2, 0] - published.mean[:2, 0] + hypothesis.displacement
+    left, last = np.hypot(*back), np.hypot(*hypothesis.displacement)
+    return np.asarray((last > 0.0) & (left < 0.5 * last))
 
 
 def _position_variance(bank: Bank) -> FloatArray:

@@ -13,9 +13,10 @@ from fnn_ekf_ros.core.relocation import (
     HypothesisPrediction,
     HypothesisUpdate,
     nis_by_sensor,
+    undoes_last,
     update_hypothesis,
 )
-from fnn_ekf_ros.core.state import PUBLISHED, FilterModel, FilterState, reset_pose
+from fnn_ekf_ros.core.state import WHITE, FilterModel, FilterState, reset_pose
 
 
 def follow_hypothesis(
@@ -38,9 +39,9 @@ def follow_hypothesis(
         prediction = _prediction(model, state, instant)
     else:
         prediction = HypothesisPrediction(
-            predicted=instant.predicted.filters(PUBLISHED),
-            seen=instant.seen.filters(PUBLISHED),
-            noise=instant.noise.filters(PUBLISHED),
+            predicted=instant.predicted.filters(WHITE),
+            seen=instant.seen.filters(WHITE),
+            noise=instant.noise.filters(WHITE),
             nis=decision.nis,
         )
     return update_hypothesis(
@@ -48,9 +49,10 @@ def follow_hypothesis(
         state.gate,
         state.relocation_hypothesis,
         prediction,
-        corrected.filters(PUBLISHED),
+        corrected.filters(WHITE),
         instant.readings,
         decision,
+        0.0 if state.lasting is None else state.lasting.rejections_agree,
     )
 
 
@@ -65,7 +67,7 @@ def with_hypothesis(
 def _with_filter(model: FilterModel, state: FilterState, update: HypothesisUpdate) -> FilterState:
     """Return the state with the hypothesis's filter in the bank, where any robot has one."""
     steady, before = model.layout.steady, state.relocation_hypothesis.active
-    own = state.noise.filters(model.layout.relocation_hypothesis if before.any() else PUBLISHED)
+    own = state.noise.filters(model.layout.relocation_hypothesis if before.any() else WHITE)
     bank, noise = state.bank.filters(steady), state.noise.filters(steady)
     if not update.hypothesis.active.any():
         return state._replace(bank=bank, noise=noise, relocation_hypothesis=update.hypothesis)
@@ -86,6 +88,12 @@ def _relocated(model: FilterModel, state: FilterState, confirmed: BoolArray) -> 
     """Return the state with the filters of robots whose hypothesis is confirmed at its pose."""
     place = state.bank.filters(model.layout.relocation_hypothesis)
     moved = reset_pose(model, state, place.mean[:, 0], place.covariance[:, :, 0])
+    recent = state.relocation_hypothesis.recent + 1.0
+    white = state.bank.filters(WHITE)
+    undoes = undoes_last(state.relocation_hypothesis, place, white)
+    displacement = np.where(undoes, 0.0, place.mean[:2, 0] - white.mean[:2, 0])
+    hypothesis = moved.relocation_hypothesis._replace(recent=recent, displacement=displacement)
+    moved = moved._replace(relocation_hypothesis=hypothesis)
     if confirmed.all():
         return moved
     moved = moved._replace(
@@ -107,7 +115,7 @@ def _prediction(model: FilterModel, state: FilterState, instant: Instant) -> Hyp
     which, active = model.layout.relocation_hypothesis, state.relocation_hypothesis.active
     predicted, available = instant.predicted.filters(which), instant.readings.available
     noise = noise_of_readings(
-        select(active, state.noise.filters(which), state.noise.filters(PUBLISHED)),
+        select(active, state.noise.filters(which), state.noise.filters(WHITE)),
         model.measurement_noise,
         instant.fix_covariance,
         available,
@@ -119,4 +127,4 @@ def _prediction(model: FilterModel, state: FilterState, instant: Instant) -> Hyp
 
 def _with_own(of_all: FloatArray, own: FloatArray, kept: BoolArray) -> FloatArray:
     """Return noise with the hypothesis's: its own where kept, otherwise the published filter's."""
-    return np.concatenate([of_all, np.where(kept, own, of_all[:, PUBLISHED])], axis=1)
+    return np.concatenate([of_all, np.where(kept, own, of_all[:, WHITE])], axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.joint_state import JointReport, Learned
+from fnn_ekf_ros.core.lasting.report import LastingReport
 from fnn_ekf_ros.core.rows import SENSOR_COUNT, SENSOR_OF_ROW
 
 
@@ -81,6 +82,7 @@ class StepResult(NamedTuple):
         process_firing_strength: `(3, 2, *batch)` the same for Q's distance and rotation, modes `q`
             and `rq`.
         joint: noise and weights of joint adaptation; None in the other modes.
+        lasting: what is believed of errors that last; None where they are not followed.
         sensor_nis: `(2, *batch)` NIS of each sensor's rows, summed; sensors as in `rows`.
         sensor_degrees_of_freedom: `(2, *batch)` number of rows that each sensor measured.
         rejected: `(2, *batch)` whether the gate rejected any reading of each sensor.
@@ -97,6 +99,7 @@ class StepResult(NamedTuple):
     firing_strength: FloatArray
     process_firing_strength: FloatArray
     joint: JointReport | None
+    lasting: LastingReport | None
     sensor_nis: FloatArray
     sensor_degrees_of_freedom: FloatArray
     rejected: BoolArray

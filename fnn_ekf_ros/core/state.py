@@ -27,17 +27,20 @@ from fnn_ekf_ros.core.joint_state import (
     start_joint,
     without_forecasts,
 )
+from fnn_ekf_ros.core.lasting.lasting import LastingState, moved, start_lasting
 from fnn_ekf_ros.core.motion import MotionModel
 from fnn_ekf_ros.core.pace import Pace, start_pace
 from fnn_ekf_ros.core.relocation import RelocationHypothesis, no_hypothesis
+from fnn_ekf_ros.core.rows import POSITION_ROWS
 from fnn_ekf_ros.core.suspects import SUSPECT_COUNT, SUSPECTS, noise_of_suspects
 from fnn_ekf_ros.core.window import InnovationWindow, empty_window
 
-PUBLISHED_INDEX = 0
-"""Index of the published filter in the bank."""
-PUBLISHED = slice(PUBLISHED_INDEX, PUBLISHED_INDEX + 1)
-"""The published filter alone; those of joint adaptation follow in the bank, then the suspects."""
-JOINT = slice(PUBLISHED.stop, PUBLISHED.stop + JOINT_COUNT)
+WHITE_INDEX = 0
+"""Index in the bank of the filter that takes all errors for white: the published one where lasting
+errors are not followed."""
+WHITE = slice(WHITE_INDEX, WHITE_INDEX + 1)
+"""This filter alone; those of joint adaptation follow in the bank, then the suspects."""
+JOINT = slice(WHITE.stop, WHITE.stop + JOINT_COUNT)
 """The filters of joint adaptation that readings are compared with."""
 FORECAST = slice(JOINT.start, JOINT.start + NEWER_COUNT)
 """The filters of joint adaptation that the forecasts start from."""
@@ -58,6 +61,7 @@ class FilterModel:
         gate: which readings are rejected as outliers.
         suspects: whether to run the filters that find which of wheels, compass and fixes does not
             fit the others.
+        lasting_errors: whether mode joint follows errors that last.
     """
 
     motion_model: MotionModel
@@ -67,6 +71,12 @@ class FilterModel:
     adaptation: Adaptation
     gate: Gate = OPEN_GATE
     suspects: bool = False
+    lasting_errors: bool = False
+
+    @property
+    def follows_lasting_errors(self) -> bool:
+        """Whether the bank of mode joint is accompanied by filters of lasting errors."""
+        return self.is_joint and self.lasting_errors
 
     @property
     def is_joint(self) -> bool:
@@ -83,7 +93,7 @@ class Layout(NamedTuple):
     """Places of the filters in the bank; the relocation hypothesis's is the last one.
 
     Attributes:
-        compared: those that readings are compared with: the published filter, those of joint
+        compared: those that readings are compared with: the white filter, those of joint
             adaptation, the suspects.
         suspects: the suspects, the last of these; empty without them.
         newer_forecasts: the newer forecasts of joint adaptation; empty in the other modes.
@@ -100,7 +110,7 @@ class Layout(NamedTuple):
 
 @cache
 def _layout(joint: bool, suspects: bool) -> Layout:
-    first = JOINT.stop if joint else PUBLISHED.stop
+    first = JOINT.stop if joint else WHITE.stop
     compared = first + (SUSPECT_COUNT if suspects else 0)
     count = compared + (NEWER_COUNT if joint else 0)
     return Layout(
@@ -125,6 +135,7 @@ class FilterState(NamedTuple):
         lead: `(3, *batch)` recent log likelihood ratio of each of `SUSPECTS` [nats].
         pace: times since the last readings.
         unchanged: the last readings that did not change, by which frozen sensors are found.
+        lasting: the filters of lasting errors, whose mixture is then the estimate; None without.
     """
 
     bank: Bank
@@ -136,6 +147,7 @@ class FilterState(NamedTuple):
     lead: FloatArray
     pace: Pace
     unchanged: Unchanged
+    lasting: LastingState | None = None
 
     def has_relocation_hypothesis(self, model: FilterModel) -> bool:
         """Return whether the bank has the relocation hypothesis's filter, its last one."""
@@ -144,22 +156,24 @@ class FilterState(NamedTuple):
     @property
     def mean(self) -> FloatArray:
         """`(3, *batch)` [x, y, theta] in the map frame (m, m, rad)."""
-        return self.bank.mean[:, PUBLISHED_INDEX]
+        return self.bank.mean[:, WHITE_INDEX] if self.lasting is None else self.lasting.mean
 
     @property
     def covariance(self) -> FloatArray:
         """`(3, 3, *batch)` P."""
-        return self.bank.covariance[:, :, PUBLISHED_INDEX]
+        if self.lasting is not None:
+            return self.lasting.covariance
+        return self.bank.covariance[:, :, WHITE_INDEX]
 
     @property
     def process_noise(self) -> FloatArray:
         """`(2, *batch)` diagonal of Q for `NOMINAL_PERIOD_S` (m^2, rad^2)."""
-        return self.noise.process[:, PUBLISHED_INDEX]
+        return self.noise.process[:, WHITE_INDEX]
 
     @property
     def measurement_noise(self) -> FloatArray:
         """`(4, *batch)` diagonal of R, rows as in `Row`."""
-        return self.noise.measurement[:, PUBLISHED_INDEX]
+        return self.noise.measurement[:, WHITE_INDEX]
 
 
 def start_filter(
@@ -168,6 +182,9 @@ def start_filter(
     covariance: FloatArray,
     process_noise: FloatArray | None = None,
     measurement_noise: FloatArray | None = None,
+    *,
+    from_readings: bool = False,
+    log_weight: FloatArray | None = None,
 ) -> FilterState:
     """Return the state of a filter before the first reading.
 
@@ -177,6 +194,8 @@ def start_filter(
         covariance: `(3, 3, *batch)` its covariance; broadcasts, as do the following.
         process_noise: `(2, *batch)` Q at the start; None: the model's (m^2, rad^2).
         measurement_noise: `(4, *batch)` R at the start; None: the model's.
+        from_readings: whether the pose is of a fix and a yaw, whose lasting errors are then in it.
+        log_weight: `(H, M, *batch)` of the members of lasting errors; None: the prior's.
     """
     batch = mean.shape[1:]
     Q = _for_batch(model.process_noise if process_noise is None else process_noise, batch)
@@ -184,7 +203,8 @@ def start_filter(
         model.measurement_noise if measurement_noise is None else measurement_noise, batch
     )
     joint = start_joint(Q, R) if model.is_joint else None
-    noise = _noise_of_all(model, Q, R, joint)
+    lasting = _start_lasting(model, mean, covariance, R, from_readings, log_weight)
+    noise = _noise_of_all(model, Q, R, joint, lasting)
     return FilterState(
         bank=_at_pose(noise.process.shape[1], mean, covariance),
         noise=noise,
@@ -195,6 +215,7 @@ def start_filter(
         lead=np.zeros((len(SUSPECTS), *batch)),
         pace=start_pace(batch),
         unchanged=start_unchanged(batch),
+        lasting=lasting,
     )
 
 
@@ -211,14 +232,16 @@ def reset_pose(
     """
     batch = mean.shape[1:]
     count = model.layout.steady.stop
+    bank, lasting = _at_pose(count, mean, covariance), state.lasting
     return state._replace(
-        bank=_at_pose(count, mean, covariance),
+        bank=bank,
         noise=state.noise.filters(slice(0, count)),
         window=empty_window(len(state.window.squares), batch),
         joint=None if state.joint is None else without_forecasts(state.joint),
         gate=start_gate(batch),
         relocation_hypothesis=no_hypothesis(batch),
         lead=np.zeros_like(state.lead),
+        lasting=None if lasting is None else moved(lasting, bank.filters(WHITE)),
     )
 
 
@@ -234,13 +257,31 @@ def for_mode(model: FilterModel, state: FilterState) -> FilterState:
     if state.joint is not None:
         Q, R = noise_without_alarms(state.joint, model.adaptation.bounds)
     joint = start_joint(Q, R) if model.is_joint else None
-    noise = _noise_of_all(model, Q, R, joint)
+    lasting = _start_lasting(model, state.mean, state.covariance, R)
+    noise = _noise_of_all(model, Q, R, joint, lasting)
     return state._replace(
         bank=_at_pose(noise.process.shape[1], state.mean, state.covariance),
         noise=noise,
         joint=joint,
         relocation_hypothesis=no_hypothesis(state.mean.shape[1:]),
         lead=np.zeros_like(state.lead),
+        lasting=lasting,
+    )
+
+
+def _start_lasting(
+    model: FilterModel,
+    mean: FloatArray,
+    covariance: FloatArray,
+    R: FloatArray,
+    from_readings: bool = False,
+    log_weight: FloatArray | None = None,
+) -> LastingState | None:
+    """Return the filters of lasting errors at a pose; None where these are not followed."""
+    if not model.follows_lasting_errors:
+        return None
+    return start_lasting(
+        _at_pose(1, mean, covariance), R, from_readings=from_readings, log_weight=log_weight
     )
 
 
@@ -249,22 +290,29 @@ def with_noise(model: FilterModel, state: FilterState, Q: FloatArray, R: FloatAr
 
     The noise of the other filters follows from it; the relocation hypothesis keeps its own.
     """
-    noise = _noise_of_all(model, Q, R, state.joint)
+    noise = _noise_of_all(model, Q, R, state.joint, state.lasting)
     if state.has_relocation_hypothesis(model):
         noise = _side_by_side([noise, state.noise.filters(model.layout.relocation_hypothesis)])
     return state._replace(noise=noise)
 
 
 def _noise_of_all(
-    model: FilterModel, Q: FloatArray, R: FloatArray, joint: JointState | None
+    model: FilterModel,
+    Q: FloatArray,
+    R: FloatArray,
+    joint: JointState | None,
+    lasting: LastingState | None,
 ) -> Noise:
-    """Return the noise of all filters of the bank but the relocation hypothesis's."""
+    """Return the noise of all filters of the bank but the relocation hypothesis's.
+
+    The suspects take fix errors that are believed to last for noise, which accuses nobody.
+    """
     layout, batch = model.layout, Q.shape[1:]
     noise = Noise(
         np.empty((len(Q), layout.steady.stop, *batch)),
         np.empty((len(R), layout.steady.stop, *batch)),
     )
-    noise.process[:, PUBLISHED_INDEX], noise.measurement[:, PUBLISHED_INDEX] = Q, R
+    noise.process[:, WHITE_INDEX], noise.measurement[:, WHITE_INDEX] = Q, R
     if joint is not None:
         write_noise(
             noise.filters(JOINT), joint.process_noise, joint.measurement_noise, joint.log_scale
@@ -272,7 +320,11 @@ def _noise_of_all(
         newer, first = noise.filters(layout.newer_forecasts), noise.filters(FORECAST)
         newer.process[...], newer.measurement[...] = first.process, first.measurement
     if model.suspects:
-        of_suspects = noise_of_suspects(*persistent_noise(model, Q, R, joint))
+        process, measurement = persistent_noise(model, Q, R, joint)
+        if lasting is not None:
+            measurement = measurement.copy()
+            measurement[list(POSITION_ROWS)] += lasting.believed_fix_variance
+        of_suspects = noise_of_suspects(process, measurement)
         suspects = noise.filters(layout.suspects)
         suspects.process[...] = of_suspects.process
         suspects.measurement[...] = of_suspects.measurement

@@ -154,6 +154,23 @@ def isolate_fault(recent: RecentPeriods, wheel_separation: float) -> FaultIsolat
     )
 
 
+def with_doubtful_yaw(found: FaultIsolation, sensor: Sensor, *, turned: bool) -> FaultIsolation:
+    """Return the result where a sensor's yaw is off or may be, which shows in the others, too.
+
+    Args:
+        found: by leads and symptoms.
+        sensor: whose yaw it is.
+        turned: whether it seems to have been turned; slip of the wheels can look the same.
+    """
+    if turned and found.named is Sensor.ENCODERS:  # their lead over the compass is clear
+        return found
+    if turned:
+        return FaultIsolation(named=sensor, suspects=(sensor,), leads=found.leads)
+    if not found.suspects or found.named is sensor:
+        return found
+    return found._replace(named=None, suspects=_in_order({sensor, *found.suspects}), sizes=None)
+
+
 def _by_leads(recent: RecentPeriods) -> FaultIsolation:
     """Return the first suspect if its lead is clear and lasts, otherwise all that are close."""
     leads = recent.leads[-1].leads

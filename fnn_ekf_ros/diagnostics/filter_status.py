@@ -10,9 +10,11 @@ import numpy as np
 from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.joint_state import noise_without_alarms
+from fnn_ekf_ros.core.lasting.report import LastingReport
 from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.diagnostics.fault_isolation import FaultIsolation
+from fnn_ekf_ros.diagnostics.lasting_words import lasting_in_words
 from fnn_ekf_ros.diagnostics.messages import (
     MEASUREMENT_NOISES,
     OTHERS,
@@ -67,6 +69,7 @@ class FilterFacts(NamedTuple):
         estimate: of the last period; None without one.
         recent: the last periods; None before the filter runs.
         found: the sensor that does not fit the others.
+        lasting: what is believed of errors that last; None where they are not followed.
         mode: the adaptation in use.
         moved: a move of the pose that has not been reported yet.
         missing: what a filter that waits waits for.
@@ -78,6 +81,7 @@ class FilterFacts(NamedTuple):
     estimate: Estimate | None
     recent: RecentPeriods | None
     found: FaultIsolation
+    lasting: LastingReport | None
     mode: AdaptationMode
     moved: Move | None
     missing: tuple[FilterMessage, ...]
@@ -96,6 +100,7 @@ def filter_status(parameters: LocalizerParameters, facts: FilterFacts) -> Status
         ("position std [m]", f"{_position_std(state):.3g}"),
         ("yaw std [rad]", f"{_yaw_std(state):.3g}"),
         *_result_values(facts.estimate),
+        *(() if facts.lasting is None else lasting_in_words(facts.lasting)),
     )
     leads = zip(SUSPECTS, facts.found.leads, strict=True)
     values += (("suspicion [nats]", ", ".join(f"{name} {lead:.1f}" for name, lead in leads)),)

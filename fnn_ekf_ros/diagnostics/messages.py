@@ -86,6 +86,8 @@ class SensorMessage(StrEnum):
     TOO_FAST = "too fast: some readings are left out"
     FROZEN_FIX = "frozen: the position does not change while the wheels move the robot"
     FROZEN_YAW = "frozen: the yaw does not change while the wheels rotate the robot"
+    OFFSET = "the yaw is off by a constant angle, which is corrected"
+    TURNED = "the yaw was turned: it is not used until the angle is known"
     REJECTED = "many readings rejected: they disagree with <others>"
     SCATTER_MORE = "readings scatter more than the assumed noise"
     DISAGREES = "disagrees with <others>"

@@ -189,6 +189,8 @@ def _after_running(
             leads=(leads,),
             corrections=(),
         )
+    if _offset_changed(before, after):  # the filters start again from another pose
+        return recent._replace(agreeing=0, leads=(leads,), corrections=())
     hypothesis = after.relocation_hypothesis
     still_counted = tuple(old for old in recent.leads if end_ns - old.stamp_ns <= LEAD_LASTS_NS)
     correction = _correction(model, before, after, inputs.control, expected, end_ns)
@@ -197,6 +199,14 @@ def _after_running(
         leads=(*still_counted, leads),
         corrections=with_correction(recent.corrections, correction),
     )
+
+
+def _offset_changed(before: FilterState, after: FilterState) -> bool:
+    """Return whether the compass's offset was found, given up, or found again."""
+    if before.lasting is None or after.lasting is None:
+        return False
+    then, now = before.lasting.offset, after.lasting.offset
+    return bool(now.believed != then.believed or (then.doubted and not now.doubted))
 
 
 def _correction(

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode
+from fnn_ekf_ros.core.lasting.report import LastingReport, report_lasting
 from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.diagnostics.encoder_status import EncoderStatus
 from fnn_ekf_ros.diagnostics.fault_isolation import (
@@ -18,9 +19,11 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     FaultIsolation,
     isolate_fault,
     symptoms_of,
+    with_doubtful_yaw,
 )
 from fnn_ekf_ros.diagnostics.filter_status import Failures, FilterFacts, filter_status
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, frozen_sensors
+from fnn_ekf_ros.diagnostics.lasting_words import YawOffset, doubtful_yaw, yaw_offset
 from fnn_ekf_ros.diagnostics.messages import (
     LAST_REFUSAL,
     EncoderMessage,
@@ -219,7 +222,11 @@ class DiagnosticsReport:
             refused=Sensor.ENCODERS in self._new_refusal,
         )
         frozen = frozen_sensors(state)
-        found = self._isolate(now_ns, encoders, frozen, recent)
+        lasting = _lasting(state)
+        offset = None
+        if lasting is not None:
+            offset = yaw_offset(lasting, self._parameters.compass_offset)
+        found = self._isolate(now_ns, encoders, frozen, lasting, recent)
         moved = new_move(self._reported_move, recent)
         self._reported_move = moved or self._reported_move
         facts = FilterFacts(
@@ -228,6 +235,7 @@ class DiagnosticsReport:
             estimate=estimate,
             recent=recent,
             found=found,
+            lasting=lasting,
             mode=mode,
             moved=moved,
             missing=self._missing(state) if isinstance(state, AwaitingStart) else (),
@@ -235,7 +243,7 @@ class DiagnosticsReport:
         )
         statuses = (
             _with_isolation(encoders, found),
-            *self._measuring(now_ns, frozen, found, recent),
+            *self._measuring(now_ns, frozen, offset, found, recent),
             filter_status(self._parameters, facts),
             self._time.status(),
         )
@@ -248,6 +256,7 @@ class DiagnosticsReport:
         self,
         now_ns: int,
         frozen: dict[Sensor, FrozenReadings],
+        offset: YawOffset | None,
         found: FaultIsolation,
         recent: RecentPeriods | None,
     ) -> Iterator[Status]:
@@ -258,13 +267,16 @@ class DiagnosticsReport:
             (Sensor.LRF_POSE, readings.lrf_pose, True),
         ):
             common = self._sensor(sensor, now_ns, expected=expected)
-            yield measuring_status(common, frozen.get(sensor), symptoms_of(of_sensor), found)
+            yield measuring_status(
+                common, frozen.get(sensor), offset, symptoms_of(of_sensor), found
+            )
 
     def _isolate(
         self,
         now_ns: int,
         encoders: Status,
         frozen: dict[Sensor, FrozenReadings],
+        lasting: LastingReport | None,
         recent: RecentPeriods | None,
     ) -> FaultIsolation:
         """Return the sensor that does not fit, unless a fault that is seen already explains it."""
@@ -274,14 +286,18 @@ class DiagnosticsReport:
             self._explained_by[Sensor.ENCODERS] = now_ns
         self._explained_by |= dict.fromkeys(frozen, now_ns)
         found = isolate_fault(recent, self._parameters.wheel_separation)
+        doubtful = None if lasting is None else doubtful_yaw(lasting)
         explained = {
             sensor
             for sensor, last_ns in self._explained_by.items()
-            if now_ns - last_ns <= EXPLAINED_NS
+            if now_ns - last_ns <= EXPLAINED_NS and sensor is not doubtful
         }
         if explained and found.named not in explained:
-            return NO_FAULT._replace(leads=found.leads)
-        return found
+            found = NO_FAULT._replace(leads=found.leads)
+        if lasting is None or doubtful is None:
+            return found
+        self._explained_by[doubtful] = now_ns  # what it has shown is seen for a while
+        return with_doubtful_yaw(found, doubtful, turned=bool(lasting.doubted))
 
     def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
         """Return what can be said of any sensor."""
@@ -352,6 +368,12 @@ def _with_isolation(encoders: Status, found: FaultIsolation) -> Status:
         message=join(size_messages(found.sizes)),
         values=(*encoders.values, *size_values(found.sizes)),
     )
+
+
+def _lasting(state: FilterState | AwaitingStart) -> LastingReport | None:
+    if isinstance(state, AwaitingStart) or state.lasting is None:
+        return None
+    return report_lasting(state.lasting)
 
 
 def _sensor_of(event: Event) -> Sensor | None:

@@ -12,6 +12,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     Symptoms,
 )
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings
+from fnn_ekf_ros.diagnostics.lasting_words import YawOffset
 from fnn_ekf_ros.diagnostics.messages import OTHERS, SensorMessage, fill
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.timeline.events import Level, Sensor, Status
@@ -25,13 +26,18 @@ SCATTER = {
 
 
 def measuring_status(
-    common: Status, frozen: FrozenReadings | None, symptoms: Symptoms, found: FaultIsolation
+    common: Status,
+    frozen: FrozenReadings | None,
+    offset: YawOffset | None,
+    symptoms: Symptoms,
+    found: FaultIsolation,
 ) -> Status:
     """Return the status of a measuring sensor.
 
     Args:
         common: what can be said of any sensor.
         frozen: its readings that should have changed, if there are any.
+        offset: a yaw that is off, of this sensor or of the other one.
         symptoms: of its last readings.
         found: the sensor that does not fit the others.
     """
@@ -39,10 +45,14 @@ def measuring_status(
     status = common._replace(values=(*common.values, *_values(symptoms)))
     if frozen is not None:
         status = status._replace(values=(*status.values, *frozen.values()))
+    if offset is not None and offset.sensor is sensor:
+        status = status._replace(values=(*status.values, *offset.values))
     if status.level is not Level.OK:
         return status
     if frozen is not None:
         return status._replace(level=Level.WARN, message=frozen.message)
+    if offset is not None and offset.sensor is sensor and found.named in (None, sensor):
+        return status._replace(level=Level.WARN, message=offset.message)
     if found.named is sensor:
         return status._replace(level=Level.WARN, message=_named_message(sensor, symptoms))
     calm = not found.suspects and max(found.leads) < CLEARED_LEAD

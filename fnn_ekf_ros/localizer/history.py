@@ -58,6 +58,20 @@ class Checkpoint(NamedTuple):
     left_out: LeftOut = LeftOut()
 
 
+class LearnedState(NamedTuple):
+    """What a localizer keeps when it starts anew.
+
+    Attributes:
+        process_noise: `(2,)` the adapted Q, without the temporary share of an alarm (m^2, rad^2).
+        measurement_noise: `(4,)` the adapted R, likewise, rows as in `Row`.
+        log_weight: `(H, M)` log weights of the members of lasting errors; None: the prior's.
+    """
+
+    process_noise: FloatArray
+    measurement_noise: FloatArray
+    log_weight: FloatArray | None = None
+
+
 class History:
     """The checkpoints of the last periods, and the inputs that they were run with.
 
@@ -112,8 +126,8 @@ class History:
     def close(self, end_ns: int, model: FilterModel) -> Estimate | None:
         """Run the periods that late inputs belong to again, and then the one that ends now.
 
-        A filter whose numbers do not stay finite even without measurements starts anew with the
-        noise it had; diagnostics count it.
+        A filter whose numbers do not stay finite even without measurements starts anew with what
+        it had learned; diagnostics count it.
 
         Args:
             end_ns: the end of the open period [ns].
@@ -134,7 +148,7 @@ class History:
                 kept.append(checkpoint)
         except FAILURES as error:
             self._diagnostics.failed(end_ns, str(error), restarts=True)
-            waiting = AwaitingStart(*noise_to_keep(model, self.newest.state))
+            waiting = AwaitingStart(*learned_by(model, self.newest.state))
             lost = Checkpoint(
                 stamp_ns=end_ns, state=waiting, counts=self.inputs.counts_at(end_ns), model=model
             )
@@ -212,13 +226,14 @@ class History:
         )
 
 
-def noise_to_keep(
-    model: FilterModel, state: FilterState | AwaitingStart
-) -> tuple[FloatArray, FloatArray]:
-    """Return the adapted Q and R, without the temporary share of an alarm."""
+def learned_by(model: FilterModel, state: FilterState | AwaitingStart) -> LearnedState:
+    """Return what a localizer has learned."""
     if isinstance(state, FilterState):
-        return persistent_noise(model, state.process_noise, state.measurement_noise, state.joint)
-    return model.adaptation.bounds.within(state.process_noise, state.measurement_noise)
+        noise = persistent_noise(model, state.process_noise, state.measurement_noise, state.joint)
+        lasting = state.lasting
+        return LearnedState(*noise, None if lasting is None else lasting.outages.log_weight)
+    noise = model.adaptation.bounds.within(state.process_noise, state.measurement_noise)
+    return LearnedState(*noise, state.log_weight)
 
 
 def _measured_after(

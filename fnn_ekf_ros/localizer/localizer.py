@@ -24,12 +24,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode, Networks
-from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.state import FilterModel, FilterState
 from fnn_ekf_ros.diagnostics.messages import TimeMessage
 from fnn_ekf_ros.diagnostics.recent_periods import RecentPeriods, last_move, new_move
 from fnn_ekf_ros.diagnostics.report import DiagnosticsReport
-from fnn_ekf_ros.localizer.history import NEVER_NS, History, noise_to_keep
+from fnn_ekf_ros.localizer.history import NEVER_NS, History, LearnedState, learned_by
 from fnn_ekf_ros.localizer.saved_state import SavedState
 from fnn_ekf_ros.messages.reading import read_input
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -77,8 +76,9 @@ class Localizer:
         parameters: the localizer's parameters.
         networks: the membership functions that the adaptation uses.
         on_period: is called with every period that is run, also when it is run again.
-        warm_start: pose and noise to start from instead of the parameters'. The robot may have been
-            moved since then: the square of `initial_pose_std` is added to the pose's variance.
+        warm_start: pose and what was learned, to start from instead of the parameters. The robot
+            may have been moved since then: the square of `initial_pose_std` is added to the pose's
+            variance.
         dead_reckoning: whether compass and fixes are ignored once the filter has started.
     """
 
@@ -105,7 +105,9 @@ class Localizer:
         self.reset()
         self._warm_start = warm_start
         if warm_start is not None:
-            self._start_noise = warm_start.process_noise, warm_start.measurement_noise
+            self._at_start = LearnedState(
+                warm_start.process_noise, warm_start.measurement_noise, warm_start.log_weight
+            )
 
     def receive(self, topic: str, message: Any, now_ns: int) -> Received:
         """Take a message in; return the periods closed by it and by the time that has passed.
@@ -156,7 +158,7 @@ class Localizer:
         )
         if went_back or jumped_ahead:
             self._diagnostics.restarted(self._now_ns, now_ns)
-            self._start_anew(self._noise())
+            self._start_anew(self._learned())
         self._now_ns = max(now_ns, self._now_ns)
         if self._history.is_empty:
             self._begin(now_ns)
@@ -182,20 +184,23 @@ class Localizer:
             pose, covariance = last.state.mean, last.state.covariance
         if pose is None:
             return None
-        process_noise, measurement_noise = self._noise()
+        learned = self._learned()
         return SavedState(
             stamp_ns=last.stamp_ns,
             pose=pose,
             covariance=covariance,
-            process_noise=process_noise,
-            measurement_noise=measurement_noise,
+            process_noise=learned.process_noise,
+            measurement_noise=learned.measurement_noise,
+            log_weight=learned.log_weight,
         )
 
     def reset(self) -> None:
-        """Forget the pose and the adapted noise, also those of a warm start."""
+        """Forget the pose and what was learned, also those of a warm start."""
         self._warm_start = None
         self._start_anew(
-            (np.asarray(self._model.process_noise), np.asarray(self._model.measurement_noise))
+            LearnedState(
+                np.asarray(self._model.process_noise), np.asarray(self._model.measurement_noise)
+            )
         )
 
     def enable_adaptation(self, enabled: bool) -> None:
@@ -221,21 +226,21 @@ class Localizer:
         adaptation = self._model.adaptation
         return adaptation.mode if adaptation.learning else AdaptationMode.NONE
 
-    def _start_anew(self, noise: tuple[FloatArray, FloatArray]) -> None:
-        """Forget the pose and the inputs, and start with Q and R."""
-        self._start_noise = noise
+    def _start_anew(self, learned: LearnedState) -> None:
+        """Forget the pose and the inputs, and start with what was learned."""
+        self._at_start = learned
         self._history = History(self.parameters, self._diagnostics, self._on_period)
         self._now_ns = self._open_until_ns = -NEVER_NS
 
-    def _noise(self) -> tuple[FloatArray, FloatArray]:
-        """Return the adapted Q and R, without the temporary share of an alarm."""
+    def _learned(self) -> LearnedState:
+        """Return what was learned so far."""
         if self._history.is_empty:
-            return self._start_noise
-        return noise_to_keep(self._model, self._history.newest.state)
+            return self._at_start
+        return learned_by(self._model, self._history.newest.state)
 
     def _state(self) -> FilterState | AwaitingStart:
         if self._history.is_empty:
-            return AwaitingStart(*self._start_noise)
+            return AwaitingStart(*self._at_start)
         return self._history.newest.state
 
     def _recent(self) -> RecentPeriods | None:
@@ -253,7 +258,7 @@ class Localizer:
 
     def _begin(self, now_ns: int) -> None:
         """Open the first period, early enough for all messages that are on their way."""
-        waiting = AwaitingStart(*self._start_noise)
+        waiting = AwaitingStart(*self._at_start)
         covariance = np.diag(np.square(self.parameters.initial_pose_std))
         if self._warm_start is not None:  # once: after a jump of the clock it is too old
             waiting = waiting._replace(

@@ -9,7 +9,7 @@ from fnn_ekf_ros.core.arrays import FloatArray
 
 
 class SavedState(NamedTuple):
-    """Pose and adapted noise of a localizer.
+    """Pose of a localizer, and what it has learned.
 
     Attributes:
         stamp_ns: ROS time of the pose [ns].
@@ -17,6 +17,8 @@ class SavedState(NamedTuple):
         covariance: `(3, 3)` of the pose, positive definite.
         process_noise: `(2,)` diagonal of Q for 375 ms, without an alarm's share (m^2, rad^2).
         measurement_noise: `(4,)` diagonal of R, rows as in `Row`, without an alarm's share.
+        log_weight: `(H, M)` log weights of members of lasting errors, by horizon [nats]; None if
+            these were not followed.
     """
 
     stamp_ns: int
@@ -24,3 +26,4 @@ class SavedState(NamedTuple):
     covariance: FloatArray
     process_noise: FloatArray
     measurement_noise: FloatArray
+    log_weight: FloatArray | None = None

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.lasting.members import HORIZONS_S, MEMBER_COUNT
 from fnn_ekf_ros.core.limits import LARGEST_POSE_STD, LARGEST_POSITION
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.files.fields import Fields
@@ -38,9 +39,16 @@ ROBOT = (
 _HEAD = """\
 # State of a localizer of fnn_ekf_ros, which writes it anew once a minute (parameter state_file).
 # Units: ns, m, rad; noise as variances, of 375 ms (distance, rotation) and of x, y, compass yaw,
-# laser yaw.
+# laser yaw; log weights of hypotheses about lasting errors, by duration of simulated outages.
 """
 """Comment at the top of a file."""
+
+
+_WEIGHTS = "lasting_log_weight"
+"""Key of the members' log weights; a file of a localizer that does not follow lasting errors, or of
+an older version, has none."""
+_SMALLEST_LOG_WEIGHT = -100.0
+"""Smallest log weight that is read [nats]: redrawing keeps those of a localizer far above it."""
 
 
 class SavedStateError(FnnEkfError):
@@ -189,6 +197,10 @@ def render_state(state: SavedState, parameters: LocalizerParameters, saved_at: d
         "covariance:",
         *(f"  - {_shown(row)}" for row in state.covariance),
         f"process_noise: {_shown(state.process_noise)}",
+    ]
+    if state.log_weight is not None:
+        lines += [f"{_WEIGHTS}:", *(f"  - {_shown(row)}" for row in state.log_weight)]
+    lines += [
         f"measurement_noise: {_shown(state.measurement_noise)}",  # last: a cut shows by its bracket
     ]
     return _HEAD + "\n".join(lines) + "\n"
@@ -232,6 +244,7 @@ def read_state(path: Path, parameters: LocalizerParameters) -> ReadState:
         covariance=covariance,
         process_noise=process,
         measurement_noise=measurement,
+        log_weight=_log_weight(fields) if _WEIGHTS in fields else None,
     )
     return ReadState(state=state, saved_at=str(fields.value("saved_at")))
 
@@ -259,6 +272,16 @@ def _noise(
             key, f"variances within the bounds {key}_std_min and {key}_std_max of the parameters"
         )
     return variances
+
+
+def _log_weight(fields: Fields) -> FloatArray:
+    log_weight = np.array(fields.matrix(_WEIGHTS, len(HORIZONS_S), MEMBER_COUNT))
+    if not (
+        np.all(log_weight >= _SMALLEST_LOG_WEIGHT)
+        and np.allclose(np.exp(np.minimum(log_weight, 1.0)).sum(axis=1), 1.0)
+    ):
+        raise fields.refusal(_WEIGHTS, "logarithms of weights whose sum is 1 in each list")
+    return log_weight
 
 
 def _shown(values: FloatArray) -> str:

@@ -8,6 +8,7 @@ import re
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.evidence import SCALES
 from fnn_ekf_ros.core.joint_state import HYPOTHESES
+from fnn_ekf_ros.core.lasting.members import MEMBERS
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 
 LEFT_TICKS = "left_ticks"
@@ -82,6 +83,17 @@ NOISE_FIELDS = (
         for axis in ("distance", "rotation")
         for rule in ("increase", "maintain", "decrease")
     ),
+    *(
+        f"weight_fix_{member.fix_factor:g}{'_yaw' if member.yaw_std > 0.0 else ''}"
+        for member in MEMBERS
+    ),
+    "lasting_fix_std",
+    "lasting_time_constant",
+    "lasting_yaw_std",
+    "compass_offset",
+    "compass_offset_std",
+    "compass_offset_believed",
+    "compass_doubted",
 )
 """Names of the numbers of `~/noise`, in order; variances in m^2 and rad^2.
 
@@ -91,6 +103,9 @@ that of its last reading.
 The firing strengths by row are R's; in mode `joint` those of the four log scales, in their order;
 in mode `q`, which has none of R, Q's in the rows of x and compass yaw. Log scales and weights are
 0 in the other modes than `joint`. What is true or false is 1 or 0.
+
+The weights by fix factor, with or without lasting yaw errors, and what follows them are of lasting
+errors (m, s, rad); 0 where these are not followed.
 """
 
 STD_TOPICS = {
@@ -104,7 +119,14 @@ STD_TOPICS = {
 """Private topic of the square root of a variance in `~/noise` (m, rad), by its field."""
 NIS_TOPICS = ("nis/compass", "nis/lrf_pose")
 """Private topics of each sensor's NIS per degree of freedom, in the order of the gate."""
-NUMBER_TOPICS = (*STD_TOPICS.values(), *NIS_TOPICS)
+LASTING_TOPICS = {
+    "lasting_fix_std": "lasting/fix_std",
+    "lasting_yaw_std": "lasting/yaw_std",
+    "compass_offset": "lasting/compass_offset",
+    "compass_offset_std": "lasting/compass_offset_std",
+}
+"""Private topic of a number in `~/noise` about lasting errors (m, rad), by its field."""
+NUMBER_TOPICS = (*STD_TOPICS.values(), *NIS_TOPICS, *LASTING_TOPICS.values())
 """Private topics of one number each, published beside `~/noise` to be plotted by name."""
 
 

@@ -11,9 +11,11 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.evidence import SCALES
 from fnn_ekf_ros.core.joint_state import HYPOTHESES
+from fnn_ekf_ros.core.lasting.report import LastingReport
 from fnn_ekf_ros.messages.names import (
     COMPASS_TYPE,
     DIAGNOSTICS_TYPE,
+    LASTING_TOPICS,
     NIS_TOPICS,
     NOISE,
     NOISE_FIELDS,
@@ -190,6 +192,9 @@ def noise(estimate: Estimate) -> Message:
         data += [0.0] * _JOINT_NUMBERS if joint is None else [*joint.log_scale, *joint.weights]
         data += [*result.sensor_nis, *result.rejected, result.relocated]
         data += [*np.ravel(result.process_firing_strength.T)]
+        if result.lasting is not None:
+            data += [*result.lasting.weights, *_lasting_numbers(result.lasting).values()]
+            data += [result.lasting.believed, result.lasting.doubted]
     data += [0.0] * (len(NOISE_FIELDS) - len(data))
     return Message(NOISE_TYPE, {"layout": _NOISE_LAYOUT, "data": np.array(list(map(float, data)))})
 
@@ -199,7 +204,8 @@ def numbers(estimate: Estimate) -> dict[str, Message]:
 
     The standard deviations are square roots of the adapted R and of Q for 375 ms (m, rad). A NIS
     is summed over the period's readings of its sensor and divided by their degrees of freedom; a
-    sensor that measured nothing has none.
+    sensor that measured nothing has none. Numbers about lasting errors come where these are
+    followed.
     """
     state, result = estimate.state, estimate.result
     variances = dict(
@@ -211,7 +217,21 @@ def numbers(estimate: Estimate) -> dict[str, Message]:
             NIS_TOPICS, result.sensor_nis, result.sensor_degrees_of_freedom, strict=True
         )
         values |= {topic: nis / count for topic, nis, count in by_sensor if count > 0}
+        if result.lasting is not None:
+            lasting = _lasting_numbers(result.lasting)
+            values |= {topic: lasting[field] for field, topic in LASTING_TOPICS.items()}
     return {topic: Message(NUMBER_TYPE, {"data": float(value)}) for topic, value in values.items()}
+
+
+def _lasting_numbers(report: LastingReport) -> dict[str, float]:
+    """Return the numbers about lasting errors, by their fields of `~/noise`, in their order."""
+    return {
+        "lasting_fix_std": float(report.fix_std),
+        "lasting_time_constant": report.time_constant_s,
+        "lasting_yaw_std": float(report.yaw_std),
+        "compass_offset": float(report.offset),
+        "compass_offset_std": float(report.offset_std),
+    }
 
 
 def estimate_messages(estimate: Estimate, frame_id: str, base_frame: str) -> dict[str, Message]:

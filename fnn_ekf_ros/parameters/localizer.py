@@ -177,6 +177,11 @@ class LocalizerParameters(Parameters):
         choices=tuple(AdaptationMode),
         at_run_time=True,
     )
+    lasting_errors: bool = parameter(
+        True,
+        "Follow errors of fixes and compass that last for seconds to minutes, and a compass that "
+        "is off by a constant; adaptation: joint only.",
+    )
     innovation_window: int = parameter(
         45,
         "Number of innovations, one a period, that modes r, q and rq compare with the filter's "

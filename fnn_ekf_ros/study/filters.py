@@ -188,6 +188,8 @@ def run(
         start: `(..., n)` starts.
         knows_noise: whether it has each step's true Q and R instead of the start's.
     """
+    # The filters of lasting errors are not counted. With them, too, 200 to 300 robots side by side
+    # are fastest (40 us a step and robot); the 45 that would fill the cache take 68 us, 450 49 us.
     window = MEASUREMENT_SIZE * model.adaptation.window_length
     numbers = NUMBERS_OF_A_FILTER * model.layout.steady.stop + window
     return run_in_blocks(recording, start, partial(_filter, model, recording, knows_noise), numbers)

@@ -76,7 +76,9 @@ class BatchStart(NamedTuple):
 
     Attributes:
         stamp_ns: of the first pose, ROS time [ns].
-        start: `(n,)` starts, one for each cell, at the instant at which the filters start.
+        start: `(n,)` starts, one for each cell, at the instant at which the filters start; without
+            errors that last.
+        from_readings: whether they are of a fix and a yaw.
         rest: epochs from that instant to the first pose.
         inputs: of the periods that follow.
         stamps_ns: their ends [ns].
@@ -84,6 +86,7 @@ class BatchStart(NamedTuple):
 
     stamp_ns: int
     start: Start
+    from_readings: bool
     rest: tuple[Epoch, ...]
     inputs: tuple[PeriodInputs, ...]
     stamps_ns: tuple[int, ...]
@@ -115,6 +118,22 @@ class Run(NamedTuple):
     covariance: FloatArray
     process_noise: FloatArray
     measurement_noise: FloatArray
+
+
+class _FirstState(NamedTuple):
+    """The start of a filter.
+
+    Attributes:
+        taken: number of periods that it needs to start.
+        state: at its start.
+        from_readings: whether it is of a fix and a yaw.
+        rest: epochs of the last of these periods that it has still to see.
+    """
+
+    taken: int
+    state: FilterState
+    from_readings: bool
+    rest: tuple[Epoch, ...]
 
 
 class RealScore(NamedTuple):
@@ -163,14 +182,17 @@ def batch_start(
     """
     networks = networks_for(parameters)
     taken, states, noises = 0, [], []
+    from_readings = False
     rest: tuple[Epoch, ...] = ()
     for index, cell in enumerate(cells):
         model = filter_model(with_noise_factors(parameters, cell), networks)
+        # The filters that start here add the errors that last themselves.
+        model = dataclasses.replace(model, lasting_errors=False)
         noise = np.asarray(model.process_noise), np.asarray(model.measurement_noise)
         factor = cell.k
         if taught is not None:
             noise, factor = (taught.process[index], taught.measurement[index]), 1.0
-        taken, state, rest = _first_state(model, noise, factor, periods)
+        taken, state, from_readings, rest = _first_state(model, noise, factor, periods)
         states.append(state)
         noises.append(noise)
     period_ns = round(parameters.period * 1e9)
@@ -183,6 +205,7 @@ def batch_start(
             process_noise=np.stack([Q for Q, _ in noises]),
             measurement_noise=np.stack([R for _, R in noises]),
         ),
+        from_readings=from_readings,
         rest=rest,
         inputs=tuple(period.inputs for period in following),
         stamps_ns=tuple(period.end_ns for period in following),
@@ -203,6 +226,7 @@ def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
         components_first(start.covariance, 2),
         components_first(start.process_noise),
         components_first(start.measurement_noise),
+        from_readings=batch.from_readings,
     )
     cells = len(start.mean)
     if batch.rest:
@@ -309,10 +333,8 @@ def _first_state(
     noise: tuple[FloatArray, FloatArray],
     factor: float,
     periods: Sequence[Period],
-) -> tuple[int, FilterState, tuple[Epoch, ...]]:
-    """Return how many periods a filter needs to start, its first state, and the rest.
-
-    What it sees in the rest of the last of these periods it remembers, so it has still to see it.
+) -> _FirstState:
+    """Return the first state of a filter.
 
     Args:
         model: the filter.
@@ -322,23 +344,26 @@ def _first_state(
     """
     before = periods[0].before
     if isinstance(before, FilterState):
-        return 0, start_filter(model, before.mean, before.covariance, *noise), ()
+        known = start_filter(model, before.mean, before.covariance, *noise)
+        return _FirstState(0, known, from_readings=False, rest=())
     state: FilterState | AwaitingStart = AwaitingStart(
         *noise, given_pose=before.given_pose, given_covariance=before.given_covariance
     )
     for taken, period in enumerate(periods, 1):
         state = state_at_begin(model, state, period.inputs)
         if isinstance(state, FilterState):  # from `initial_pose`
-            return taken - 1, state, ()
+            return _FirstState(taken - 1, state, from_readings=False, rest=())
         inputs = _reported_times(period.inputs, factor)
         if inputs.reset is not None:
             state, _ = run_period(model, state, inputs._replace(epochs_after_reset=()))
             assert isinstance(state, FilterState)
-            return taken, state, period.inputs.epochs_after_reset
+            rest = period.inputs.epochs_after_reset
+            return _FirstState(taken, state, from_readings=False, rest=rest)
         for place, epoch in enumerate(inputs.epochs if inputs.wheels_known else (), 1):
             state = wait(model, state, epoch)
             if isinstance(state, FilterState):
-                return taken, state, period.inputs.epochs[place:]
+                rest = period.inputs.epochs[place:]
+                return _FirstState(taken, state, from_readings=True, rest=rest)
     raise ValueError("the filter never starts: expected periods in which it does")
 
 

@@ -52,6 +52,7 @@ def filter_model(parameters: LocalizerParameters, networks: Networks) -> FilterM
             bounds=noise_bounds(p),
         ),
         gate=gate_for(p.compass_gate, p.lrf_pose_gate),
+        lasting_errors=p.lasting_errors,
     )
 
 

@@ -27,6 +27,7 @@ class AwaitingStart(NamedTuple):
     Attributes:
         process_noise: `(2,)` Q to start with (m^2, rad^2).
         measurement_noise: `(4,)` R to start with.
+        log_weight: `(H, M)` log weights of the members of lasting errors; None: the prior's.
         position: `(2,)` the last fix [m]; None before the first.
         position_variance: `(2, 2)` its covariance [m^2].
         since_fix: `(3,)` pose relative to the robot's pose at the fix (m, m, rad).
@@ -38,6 +39,7 @@ class AwaitingStart(NamedTuple):
 
     process_noise: FloatArray
     measurement_noise: FloatArray
+    log_weight: FloatArray | None = None
     position: FloatArray | None = None
     position_variance: FloatArray = np.zeros((2, 2))
     since_fix: FloatArray = np.zeros(3)
@@ -72,6 +74,8 @@ def wait(model: FilterModel, waiting: AwaitingStart, epoch: Epoch) -> AwaitingSt
         covariance,
         waiting.process_noise,
         waiting.measurement_noise,
+        from_readings=True,
+        log_weight=waiting.log_weight,
     )
 
 

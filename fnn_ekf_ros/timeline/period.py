@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import Constant, FloatArray
+from fnn_ekf_ros.core.bank import Bank
 from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.results import Epoch, StepResult
 from fnn_ekf_ros.core.state import FilterModel, FilterState, reset_pose, start_filter
@@ -96,8 +97,15 @@ def state_at_begin(
 def start_at(
     model: FilterModel, waiting: AwaitingStart, mean: FloatArray, covariance: FloatArray
 ) -> FilterState:
-    """Return the filter that starts at a pose `(3,)` with the noise it has waited with."""
-    return start_filter(model, mean, covariance, waiting.process_noise, waiting.measurement_noise)
+    """Return the filter that starts at a pose `(3,)` with what it has waited with."""
+    return start_filter(
+        model,
+        mean,
+        covariance,
+        waiting.process_noise,
+        waiting.measurement_noise,
+        log_weight=waiting.log_weight,
+    )
 
 
 def without_measurements(inputs: PeriodInputs) -> PeriodInputs:
@@ -123,10 +131,18 @@ def check_finite(state: FilterState) -> None:
         raise ArithmeticError("the pose is not finite")
     if not np.all(np.isfinite([*state.process_noise, *state.measurement_noise])):
         raise ArithmeticError("the noise is not finite")
-    if not (np.isfinite(state.bank.mean).all() and np.isfinite(state.bank.covariance).all()):
+    if not _is_finite(state.bank):
         raise ArithmeticError("a filter beside the published one is not finite")
+    if state.lasting is not None and not (
+        _is_finite(state.lasting.bank) and np.isfinite(state.lasting.outages.log_weight).all()
+    ):
+        raise ArithmeticError("a filter of lasting errors is not finite")
     if not np.linalg.eigvalsh(state.covariance)[0] > 0.0:
         raise ArithmeticError("the covariance is not positive definite")
+
+
+def _is_finite(bank: Bank) -> bool:
+    return bool(np.isfinite(bank.mean).all() and np.isfinite(bank.covariance).all())
 
 
 def _set_pose(

@@ -177,8 +177,9 @@ def test_robots_of_a_batch_learn_each_for_itself(model: FilterModel) -> None:
     state = start_filter(model, np.zeros((3, 3)), START_COVARIANCE)
     control = np.array([[0.1, 0.1, 0.0], [0.1, 0.1, 0.0]])
     rows = np.stack([ALL_ROWS, NO_ROWS, ALL_ROWS], axis=-1)
-    for _ in range(5):
-        state, result = step(model, state, at_end(control, np.full((4, 3), 0.5), rows))
+    for i in range(5):
+        z = np.full((4, 3), 0.5 + 0.02 * i)  # the same ones would be those of frozen sensors
+        state, result = step(model, state, at_end(control, z, rows))
     joint, _ = learned(state)
     assert np.all(joint.log_scale[..., 0] != 0.0)
     assert np.all(joint.log_scale[..., 1:] == 0.0)

@@ -25,8 +25,11 @@ def without(arrivals: Any, kind: type, after_ns: int) -> list[Any]:
 
 
 @pytest.mark.slow
-def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is() -> None:
-    localizer = make_localizer()
+@pytest.mark.parametrize("lasting_errors", [False, True])
+def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is(
+    lasting_errors: bool,
+) -> None:
+    localizer = make_localizer(lasting_errors=lasting_errors)
     outputs = feed(localizer, without(simulated(11, 30.0).arrivals, PoseFix, FIX_LOST_NS))
     status = last_status(outputs)
     assert status.level is Level.WARN
@@ -36,7 +39,8 @@ def test_a_filter_without_fixes_says_how_long_and_how_large_its_uncertainty_is()
     assert ages[-1] > 15.0
     stds = [float(dict(s.values)["position std [m]"]) for s in degraded]
     assert stds == sorted(stds)
-    assert stds[-1] > 1.3 * stds[0]
+    # Errors of the fixes that may last are in it before the fixes are lost, too.
+    assert stds[-1] > (1.1 if lasting_errors else 1.3) * stds[0]
     assert "no yaw" not in status.message
 
 
@@ -128,12 +132,14 @@ def test_a_turned_compass_is_named_and_nobody_else() -> None:
     outputs = feed(make_localizer(), spoiled(simulated(11, 30.0).arrivals))
     warned = {s.name for o in outputs if o.estimate for s in o.statuses or () if s.level}
     assert warned == {"compass", "filter"}
-    assert "compass disagrees with the wheels and the fixes" in last_status(outputs).message
-    assert "readings rejected" in last_status(outputs, "compass").message
-    suspicion = dict(last_status(outputs).values)["suspicion [nats]"]
-    encoders, compass, fixes = (float(words.split()[1]) for words in suspicion.split(", "))
+    told = statuses(outputs, "filter")
+    first = next(s for s in told if "compass disagrees with the wheels and the fixes" in s.message)
+    suspicion = dict(first.values)["suspicion [nats]"]
+    _, compass, _ = (float(words.split()[1]) for words in suspicion.split(", "))
     assert compass > 12.0
-    assert max(encoders, fixes) < 6.0
+    last = last_status(outputs, "compass")
+    assert last.message == "the yaw is off by a constant angle, which is corrected"
+    assert float(dict(last.values)["yaw offset [rad]"]) == pytest.approx(1.5, abs=0.2)
 
 
 @pytest.mark.parametrize("mode", ["none", "joint"])
@@ -150,14 +156,15 @@ def test_who_is_suspected_never_touches_the_estimates(
     same_estimates(watched, unwatched)
 
 
+@pytest.mark.parametrize("lasting_errors", [False, True])
 @pytest.mark.slow
-def test_late_measurements_are_judged_as_if_they_had_come_in_time() -> None:
+def test_late_measurements_are_judged_as_if_they_had_come_in_time(lasting_errors: bool) -> None:
     arrivals = spoiled(simulated(11, 30.0).arrivals)
     arrivals = [a for a in arrivals if a.now_ns < arrivals[-1].now_ns - 2 * 10**9]
     rest = [a for a in arrivals if isinstance(a.event, WheelCount)][-1]
     told = []
     for heard in (arrivals, every_fourth_fix_late(arrivals)):
-        localizer = make_localizer()
+        localizer = make_localizer(lasting_errors=lasting_errors)
         feed(localizer, heard)
         for wait_ns in (10**9, 2 * 10**9):  # the last periods, and all that was late
             feed(localizer, [Arrival(rest.now_ns + wait_ns, rest.event._replace(
@@ -168,4 +175,5 @@ def test_late_measurements_are_judged_as_if_they_had_come_in_time() -> None:
                 values |= {f"{status.name} {key}": value for key, value in status.values}
         told.append({key: value for key, value in values.items() if "age" not in key})
     assert told[0] == told[1]
-    assert int(told[0]["compass rejected of the last readings"]) > 3
+    rejected = int(told[0]["compass rejected of the last readings"])
+    assert rejected > 3 or lasting_errors  # a turned compass is not rejected, its offset is unknown

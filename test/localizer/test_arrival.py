@@ -235,11 +235,11 @@ def test_frozen_fixes_that_are_late_are_found_as_those_in_time(adaptation: str) 
         for a in arrivals
         if not (isinstance(a.event, PoseFix) and a.event.stamp_ns > end_ns)
     ]
-    late_pipeline = make_pipeline(**JOINTS, adaptation=adaptation)
-    late = estimates(feed(late_pipeline, late_fixes(frozen, 900_000_000)))[-1]
-    in_time = estimates(feed(make_pipeline(**JOINTS, adaptation=adaptation), frozen))[-1]
+    late_localizer = make_localizer(**JOINTS, adaptation=adaptation)
+    late = estimates(feed(late_localizer, late_fixes(frozen, 900_000_000)))[-1]
+    in_time = estimates(feed(make_localizer(**JOINTS, adaptation=adaptation), frozen))[-1]
     same_estimates([late], [in_time])
-    assert time_values(late_pipeline)["periods run again for late inputs"] != "0"
+    assert time_values(late_localizer)["periods run again for late inputs"] != "0"
     assert late.estimate is not None
     assert in_time.estimate is not None
     assert late.estimate.state.unchanged.frozen[LRF_POSE]

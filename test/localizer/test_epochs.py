@@ -14,6 +14,7 @@ from circle_drives import BEGIN_NS, MS, compass, in_time, pose_at, readings
 from localizers import SECOND_NS, estimates, feed, joints_localizer, same_estimates, statuses
 
 from fnn_ekf_ros.core import filter as filter_module
+from fnn_ekf_ros.core import joint_learning
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -169,13 +170,13 @@ def test_joint_adaptation_hardly_depends_on_the_period(shared: Any, period: floa
 def test_short_periods_mean_no_more_learning(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joint adaptation learns from readings, of which there are as many whatever the period."""
     arrivals = in_time(readings(6.0, offset_ns=10 * MS), 6.0)
-    learn, calls = filter_module.learn, [0]
+    learn, calls = joint_learning.learn, [0]
 
     def counted(*told: Any, **more: Any) -> Any:
         calls[0] += 1
         return learn(*told, **more)
 
-    monkeypatch.setattr(filter_module, "learn", counted)
+    monkeypatch.setattr(joint_learning, "learn", counted)
     learned = []
     for period in (0.02, 0.375):
         calls[0] = 0

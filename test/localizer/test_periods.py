@@ -380,7 +380,7 @@ def test_compass_offset_is_added() -> None:
 def test_process_noise_grows_with_the_period(period: float) -> None:
     """After the same time without measurements the heading is equally uncertain."""
     events = [e for i in range(100) for e in ticks(seconds(3.0 + 0.15 * i), 0, 0)]
-    localizer = make_localizer(period=period, **AT_ORIGIN)
+    localizer = make_localizer(period=period, lasting_errors=False, **AT_ORIGIN)
     outputs = estimates(feed(localizer, in_time(events)))
     assert outputs
     for output in outputs:

@@ -34,6 +34,11 @@ R = np.square([0.1, 0.1, np.sqrt(0.018)])  # users give the roots
 REPORTED = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.02]])
 
 
+def white_localizer(**changes: Any) -> Localizer:
+    """Return a localizer that takes all errors for white, as the textbook does."""
+    return joints_localizer(**{"lasting_errors": False, **changes})
+
+
 def pose_at(stamp_ns: int) -> FloatArray:
     """Return where the robot of these tests is: it drives on a circle from (1, -2)."""
     turn = RATE * (stamp_ns - START_NS) * 1e-9
@@ -116,7 +121,7 @@ def carried() -> Callable[[int, FloatArray, int], FloatArray]:
     ids=["nothing", "compass only", "fixes only"],
 )
 def test_no_estimate_until_position_and_yaw_are_known(measurements: list[Event]) -> None:
-    outputs = drive(joints_localizer(), measurements, 9)
+    outputs = drive(white_localizer(), measurements, 9)
     assert len(outputs) >= 10
     assert all(output.estimate is None for output in outputs)
     reports = [
@@ -129,7 +134,7 @@ def test_no_estimate_until_position_and_yaw_are_known(measurements: list[Event])
 
 @pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
 def test_no_estimate_without_both_wheels(speaking: list[Wheel]) -> None:
-    ran, outputs = joints_localizer(), []
+    ran, outputs = white_localizer(), []
     for number in range(1, 9):
         stamp = START_NS + number * PERIOD_NS
         for wheel in speaking:
@@ -142,7 +147,7 @@ def test_no_estimate_without_both_wheels(speaking: list[Wheel]) -> None:
 
 def test_what_is_missing_is_named() -> None:
     def message(measurements: list[Event]) -> str:
-        ran = joints_localizer()
+        ran = white_localizer()
         drive(ran, measurements, 5)
         return next(s.message for s in ran.report() if s.name == "filter")
 
@@ -156,7 +161,7 @@ def test_what_is_missing_is_named() -> None:
 def test_it_starts_with_the_covariance_of_the_measurements(carried: Any, offset: int) -> None:
     """At their time; from there to the period's end it is a filter as any other."""
     stamp = START_NS + 3 * PERIOD_NS + offset
-    estimate = first_estimate(drive(joints_localizer(), [fix(stamp), compass(stamp)], 6))
+    estimate = first_estimate(drive(white_localizer(), [fix(stamp), compass(stamp)], 6))
     assert estimate.stamp_ns == START_NS + 3 * PERIOD_NS
     expected = carried(stamp, np.diag(R), estimate.stamp_ns)
     np.testing.assert_allclose(estimate.state.covariance, expected, rtol=1e-9, atol=1e-15)
@@ -175,7 +180,7 @@ def test_measurements_that_never_share_a_period_are_carried_by_the_wheels(
     measurements: list[Event] = [fix(early), compass(late)]
     if first == "compass":
         measurements = [compass(early), fix(late)]
-    outputs = drive(joints_localizer(), measurements, apart + 6)
+    outputs = drive(white_localizer(), measurements, apart + 6)
     estimate = first_estimate(outputs)
     assert estimate.stamp_ns == START_NS + (2 + apart) * PERIOD_NS
     np.testing.assert_allclose(estimate.state.mean, pose_at(estimate.stamp_ns), atol=1e-9)
@@ -197,7 +202,7 @@ def test_while_waiting_the_newest_of_each_counts() -> None:
     wrong = PoseFix(START_NS + PERIOD_NS, np.array([50.0, 60.0, 0.0]), REPORTED)
     start = START_NS + 5 * PERIOD_NS
     estimate = first_estimate(
-        drive(joints_localizer(), [wrong, fix(start - PERIOD_NS), compass(start)], 7)
+        drive(white_localizer(), [wrong, fix(start - PERIOD_NS), compass(start)], 7)
     )
     np.testing.assert_allclose(estimate.state.mean, pose_at(start), atol=1e-9)
     np.testing.assert_allclose(estimate.state.covariance[0, 0], R[0] + FORWARD_VARIANCE)
@@ -207,7 +212,7 @@ def test_while_waiting_the_newest_of_each_counts() -> None:
 def test_the_starting_yaw_is_wrapped(yaw: float) -> None:
     stamp = START_NS + 2 * PERIOD_NS
     measurements = [fix(stamp), CompassYaw(stamp, yaw)]
-    estimate = first_estimate(drive(joints_localizer(compass_offset=1.0), measurements, 3))
+    estimate = first_estimate(drive(white_localizer(compass_offset=1.0), measurements, 3))
     wrapped = float(estimate.state.mean[2])
     assert -math.pi < wrapped <= math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(yaw + 1.0))
@@ -216,7 +221,7 @@ def test_the_starting_yaw_is_wrapped(yaw: float) -> None:
 
 def test_fixes_with_yaw_start_it_alone() -> None:
     stamp = START_NS + 2 * PERIOD_NS
-    ran = joints_localizer(lrf_use_yaw=True, lrf_yaw_std=0.2)
+    ran = white_localizer(lrf_use_yaw=True, lrf_yaw_std=0.2)
     estimate = first_estimate(drive(ran, [fix(stamp)], 5))
     assert estimate.stamp_ns == stamp
     np.testing.assert_allclose(estimate.state.mean, pose_at(stamp), atol=1e-9)
@@ -226,7 +231,7 @@ def test_fixes_with_yaw_start_it_alone() -> None:
 @pytest.mark.parametrize("use_yaw", [False, True])
 def test_reported_covariances_start_it_where_they_are_used(use_yaw: bool) -> None:
     stamp = START_NS + 2 * PERIOD_NS
-    ran = joints_localizer(lrf_use_message_covariance=True, lrf_use_yaw=use_yaw)
+    ran = white_localizer(lrf_use_message_covariance=True, lrf_use_yaw=use_yaw)
     measurements: list[Event] = [fix(stamp)] if use_yaw else [fix(stamp), compass(stamp)]
     estimate = first_estimate(drive(ran, measurements, 4))
     expected = REPORTED.copy()
@@ -234,9 +239,25 @@ def test_reported_covariances_start_it_where_they_are_used(use_yaw: bool) -> Non
     np.testing.assert_allclose(estimate.state.covariance, expected)
 
 
+@pytest.mark.parametrize("given", [False, True])
+def test_start_from_readings_has_their_lasting_errors(given: bool) -> None:
+    """A pose that is given does not."""
+    stamp = START_NS + 2 * PERIOD_NS
+    pose = {"initial_pose": list(pose_at(START_NS)), "initial_pose_std": [0.1, 0.1, 0.1]}
+    events: list[Event] = [] if given else [fix(stamp), compass(stamp)]
+    white, lasting = (
+        first_estimate(drive(joints_localizer(lasting_errors=each, **(pose if given else {})),
+                             events, 4)).state
+        for each in (False, True)
+    )  # fmt: skip
+    np.testing.assert_allclose(lasting.mean, white.mean, atol=1e-2)
+    ratio = np.diag(lasting.covariance) / np.diag(white.covariance)
+    assert np.all(ratio < 1.1) if given else np.all(ratio[:2] > 2.0)
+
+
 def test_from_an_initial_pose_it_starts_when_both_wheels_are_known() -> None:
     std = [0.3, 0.2, 0.1]
-    ran = joints_localizer(initial_pose=list(pose_at(START_NS)), initial_pose_std=std)
+    ran = white_localizer(initial_pose=list(pose_at(START_NS)), initial_pose_std=std)
     outputs = drive(ran, [], 6)
     estimate = first_estimate(outputs)
     assert estimate.stamp_ns == START_NS
@@ -250,7 +271,7 @@ def test_from_an_initial_pose_it_starts_when_both_wheels_are_known() -> None:
 
 @pytest.mark.parametrize("speaking", [[], [Wheel.LEFT], [Wheel.RIGHT]])
 def test_a_given_pose_does_not_age_before_both_wheels_have_spoken(speaking: list[Wheel]) -> None:
-    ran = joints_localizer(initial_pose=[1.0, -2.0, 2.0], initial_pose_std=[0.3, 0.2, 0.1])
+    ran = white_localizer(initial_pose=[1.0, -2.0, 2.0], initial_pose_std=[0.3, 0.2, 0.1])
     outputs = []
     for number in range(-400, 0):
         stamp = START_NS + number * PERIOD_NS // 10
@@ -274,7 +295,7 @@ def test_a_set_pose_counts_from_its_stamp_on(carried: Any, running: bool) -> Non
     elsewhere = {"initial_pose": [40.0, 50.0, 1.0]} if running else {}
     stamp = START_NS + 4 * PERIOD_NS - 130_000_000
     given = np.diag([0.25, 0.25, 0.07])
-    outputs = drive(joints_localizer(**elsewhere), [PoseReset(stamp, pose_at(stamp), given)], 8)
+    outputs = drive(white_localizer(**elsewhere), [PoseReset(stamp, pose_at(stamp), given)], 8)
     known = [o for o in outputs if o.stamp_ns >= stamp]
     assert len(known) == 5
     for output in known:
@@ -319,7 +340,7 @@ def test_a_filter_that_starts_goes_on_with_the_readings_that_follow_in_the_same_
         compass(end - 50_000_000, -0.1),
     ]
     first = [compass(began), fix(began)]
-    ran = joints_localizer(adaptation="none")
+    ran = white_localizer(adaptation="none")
     estimate = first_estimate(drive(ran, [*first, *rest], 6))
     assert estimate.stamp_ns == end
     x, P = taken(pose_at(began), np.diag(R), began, rest, end)
@@ -343,7 +364,7 @@ def test_a_set_pose_is_corrected_by_the_readings_after_it_and_by_none_before(run
         compass(stamp + 100_000_000, -0.1),
     ]
     events = [*before, *after, PoseReset(stamp, given, P_given)]
-    outputs = drive(joints_localizer(adaptation="none", **elsewhere), events, 6)
+    outputs = drive(white_localizer(adaptation="none", **elsewhere), events, 6)
     estimate = next(o.estimate for o in outputs if o.stamp_ns == end)
     assert estimate is not None
     x, P = taken(given, P_given, stamp, after, end)
@@ -356,7 +377,7 @@ def test_readings_before_a_set_pose_are_taken_before_it() -> None:
     end = START_NS + 4 * PERIOD_NS
     reset = PoseReset(end - 100_000_000, pose_at(end - 100_000_000), np.eye(3))
     events = [compass(end - 200_000_000), fix(end - 150_000_000), compass(end - 50_000_000), reset]
-    ran = joints_localizer(initial_pose=list(pose_at(START_NS)), initial_pose_std=[0.1, 0.1, 0.1])
+    ran = white_localizer(initial_pose=list(pose_at(START_NS)), initial_pose_std=[0.1, 0.1, 0.1])
     estimate = next(o.estimate for o in drive(ran, events, 6) if o.stamp_ns == end)
     assert estimate is not None
     assert estimate.result is not None

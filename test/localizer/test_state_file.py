@@ -16,6 +16,8 @@ import pytest
 from localizers import feed, make_localizer, make_parameters, same_estimates, simulated
 from places import ROOT
 
+from fnn_ekf_ros.core.lasting.members import HORIZONS_S, MEMBER_COUNT
+from fnn_ekf_ros.core.lasting.outages import start_outages, weights_of
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.saved_state import SavedState
 from fnn_ekf_ros.localizer.state_file import (
@@ -40,16 +42,18 @@ def parameters(tmp_path: Path) -> LocalizerParameters:
 def state() -> SavedState:
     rng = np.random.default_rng(7)
     root = rng.normal(0.0, 0.1, (3, 3))
+    weights = rng.uniform(0.1, 1.0, (len(HORIZONS_S), MEMBER_COUNT))
     return SavedState(
         123_456_789_012,
         np.array([1.0 / 3.0, -2e-5, 3.1]),
         root @ root.T + 1e-4 * np.eye(3),
         rng.uniform(1e-5, 1e-3, 2),
         rng.uniform(1e-4, 1.0, 4),
+        np.log(weights / weights.sum(axis=1, keepdims=True)),
     )
 
 
-def same(one: SavedState, other: SavedState) -> None:
+def same(one: tuple[Any, ...], other: tuple[Any, ...]) -> None:
     for first, second in zip(one, other, strict=True):
         np.testing.assert_array_equal(first, second)
 
@@ -65,6 +69,18 @@ def test_numbers_survive_to_the_last_bit(
     assert found.state is not None
     assert (found.cut_off, found.refused) == (False, "")
     assert found.in_words(Path("x")) == []
+
+
+def test_a_file_without_weights_of_lasting_errors_is_read(
+    parameters: LocalizerParameters, state: SavedState
+) -> None:
+    """As of an older version, or of another mode."""
+    without = state._replace(log_weight=None)
+    StateFile(parameters).write(without, WHEN)
+    assert "lasting_log_weight" not in Path(parameters.state_file).read_text()
+    read = read_state(Path(parameters.state_file), parameters).state
+    assert read.log_weight is None
+    same(read[:-1], without[:-1])
 
 
 @pytest.mark.slow
@@ -105,6 +121,9 @@ def test_a_file_that_breaks_off_anywhere_is_refused(
         ),
         ("process_noise", "[-1e-3, 1e-3]", "within the bounds process_noise_std_min"),
         ("measurement_noise", "[1e7, 1.0, 1.0, 1.0]", "bounds measurement_noise_std_min"),
+        ("lasting_log_weight", "[[0.0]]", "expected 2 lists of 10 finite numbers"),
+        ("lasting_log_weight", f"[{[-2.0] * 10}, {[-2.302585] * 10}]", "weights whose sum is 1"),
+        ("lasting_log_weight", f"[{[0.0] + [-200.0] * 9}, {[-2.302585] * 10}]", "weights whose"),
         ("format_version", "2", "'format_version' is 2: expected 1"),
         ("  wheel_radius", "0.03", "'robot': 'wheel_radius' is 0.03: expected 0.025"),
         ("  period", "0.1", "'robot': 'period' is 0.1: expected 0.375"),
@@ -268,6 +287,8 @@ def test_what_is_saved_is_the_noise_without_an_alarm_and_the_last_pose() -> None
     assert saved.stamp_ns == last.stamp_ns
     np.testing.assert_array_equal(saved.pose, last.state.mean)
     np.testing.assert_array_equal(saved.covariance, last.state.covariance)
+    assert last.state.lasting is not None
+    np.testing.assert_array_equal(saved.log_weight, last.state.lasting.outages.log_weight)
     localizer.advance(saved.stamp_ns - 10 * 10**9)  # the clock goes back: a restart
     assert shown(saved.process_noise) == process_noise_shown(localizer)
 
@@ -300,6 +321,24 @@ def test_a_warm_start_has_pose_and_noise_at_once(state: SavedState, mode: str) -
     np.testing.assert_allclose(saved.covariance, state.covariance + np.diag(std**2), rtol=1e-12)
     np.testing.assert_array_equal(saved.process_noise, state.process_noise)
     np.testing.assert_array_equal(saved.measurement_noise, state.measurement_noise)
+
+
+def test_a_warm_start_has_the_weights_of_lasting_errors(state: SavedState) -> None:
+    """From its first period on; they are kept when the clock jumps, and forgotten by a reset."""
+    arrivals = simulated(30, 20.0).arrivals
+    localizer = warm(make_parameters(), state)
+    first = next(o.estimate for o in feed(localizer, arrivals[:200]) if o.estimate is not None)
+    assert first.state.lasting is not None
+    np.testing.assert_array_equal(first.state.lasting.outages.log_weight, state.log_weight)
+    expected = weights_of(np.asarray(state.log_weight))
+    np.testing.assert_array_equal(first.state.lasting.weights, expected)
+    localizer.advance(10**9)
+    started = [o.estimate for o in feed(localizer, arrivals[:200]) if o.estimate is not None]
+    np.testing.assert_array_equal(started[-1].state.lasting.weights, expected)
+    localizer.reset()
+    cold = [o.estimate for o in feed(localizer, arrivals[:200]) if o.estimate is not None]
+    prior = start_outages(()).log_weight
+    np.testing.assert_array_equal(cold[-1].state.lasting.outages.log_weight, prior)
 
 
 @pytest.mark.slow

@@ -100,10 +100,42 @@ def test_noise_numbers_keep_their_places() -> None:
         34: "log_scale_position", 35: "log_scale_yaw", 36: "weight_start", 37: "weight_settled",
         38: "weight_fast", 39: "weight_slip", 40: "nis_compass", 41: "nis_lrf_pose",
         42: "rejected_compass", 43: "rejected_lrf_pose", 44: "relocated",
-        45: "firing_increase_distance", 50: "firing_decrease_rotation",
+        45: "firing_increase_distance", 50: "firing_decrease_rotation", 51: "weight_fix_0",
+        55: "weight_fix_30", 56: "weight_fix_0_yaw", 60: "weight_fix_30_yaw",
+        61: "lasting_fix_std", 62: "lasting_time_constant", 63: "lasting_yaw_std",
+        64: "compass_offset", 65: "compass_offset_std", 66: "compass_offset_believed",
+        67: "compass_doubted",
     }  # fmt: skip
     assert {index: NOISE_FIELDS[index] for index in places} == places
-    assert len(NOISE_FIELDS) == 51
+    assert len(NOISE_FIELDS) == 68
+
+
+def lasting_estimate(**changes: Any) -> Estimate:
+    """Return the last estimate of a short run of mode joint."""
+    outputs = feed(make_localizer(**changes), simulated(11, 30.0).arrivals[:300])
+    return [output.estimate for output in outputs if output.estimate is not None][-1]
+
+
+def test_noise_numbers_tell_what_lasts() -> None:
+    estimate = lasting_estimate()
+    result = estimate.result
+    assert result is not None
+    report = result.lasting
+    assert report is not None
+    known = report._replace(believed=np.array(True), offset=np.array(-1.2))
+    estimate = estimate._replace(result=result._replace(lasting=known))
+    data = as_object(messages.noise(estimate)).data
+    np.testing.assert_array_equal(data[51:61], report.weights)
+    numbers = (report.fix_std, 10.0, report.yaw_std, -1.2, report.offset_std, 1.0, 0.0)
+    np.testing.assert_array_equal(data[61:], numbers)
+    assert len(set(data[61:])) == 7  # or a swap would not be seen
+    made = {topic: as_object(m).data for topic, m in messages.numbers(estimate).items()}
+    values = dict(zip(NOISE_FIELDS, data, strict=True))
+    for field, topic in messages.LASTING_TOPICS.items():
+        assert made[topic] == values[field]
+    without = lasting_estimate(lasting_errors=False)
+    assert not np.any(as_object(messages.noise(without)).data[51:])
+    assert not set(messages.numbers(without)) & set(messages.LASTING_TOPICS.values())
 
 
 @pytest.mark.parametrize("mode", ["r", "q", "rq"])
@@ -173,7 +205,7 @@ def test_what_is_published_with_an_estimate_is_what_is_announced(estimates: list
         "odom", "~/noise", *(f"~/{topic}" for topic in messages.NUMBER_TOPICS),
     }  # fmt: skip
     published: dict[str, str] = {}
-    for estimate in estimates:
+    for estimate in (*estimates, lasting_estimate()):
         made = messages.estimate_messages(estimate, "map", "base_link")
         published |= {topic: message.type_name for topic, message in made.items()}
     assert published == announced

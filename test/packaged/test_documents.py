@@ -20,7 +20,13 @@ from fnn_ekf_ros.commands.study import OWN_MODULES
 from fnn_ekf_ros.core import relocation
 from fnn_ekf_ros.diagnostics.messages import MESSAGES, NAMES
 from fnn_ekf_ros.localizer import localizer
-from fnn_ekf_ros.messages import NIS_TOPICS, NOISE_FIELDS, NUMBER_TOPICS, STD_TOPICS
+from fnn_ekf_ros.messages import (
+    LASTING_TOPICS,
+    NIS_TOPICS,
+    NOISE_FIELDS,
+    NUMBER_TOPICS,
+    STD_TOPICS,
+)
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import FAULTS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -195,7 +201,9 @@ def test_the_table_of_noise_has_each_number_once() -> None:
         ("firing_increase_x", "firing"), ("log_scale_forward", "log of the variance"),
         ("weight_start", "weights of the hypotheses"), ("nis_compass", "NIS of the compass"),
         ("rejected_compass", "rejected the compass"), ("relocated", "moved"),
-        ("firing_increase_distance", "of Q's rules"),
+        ("firing_increase_distance", "of Q's rules"), ("weight_fix_0", "weights of the members"),
+        ("lasting_fix_std", "fixes' lasting errors"), ("compass_offset", "offset of the compass"),
+        ("compass_offset_believed", "believed"),
     ):  # fmt: skip
         assert word in meaning[NOISE_FIELDS.index(name)], name
 
@@ -205,7 +213,7 @@ def test_the_table_of_numbers_to_plot_has_each_topic_once_with_its_number() -> N
     rows = re.findall(r"^\| (`~/.*?`) \| (.*) \|$", table, flags=re.MULTILINE)
     topics = [re.findall(r"`~/([\w/]+)`", cell) for cell, _ in rows]
     assert sorted(topic for row in topics for topic in row) == sorted(NUMBER_TOPICS)
-    numbers = {topic: field for field, topic in STD_TOPICS.items()} | {
+    numbers = {topic: field for field, topic in (STD_TOPICS | LASTING_TOPICS).items()} | {
         topic: topic.replace("/", "_") for topic in NIS_TOPICS
     }
     for row, (_, words) in zip(topics, rows, strict=True):
@@ -214,8 +222,8 @@ def test_the_table_of_numbers_to_plot_has_each_topic_once_with_its_number() -> N
         indices = [NOISE_FIELDS.index(numbers[topic]) for topic in row]
         assert [int(index) for index in found[1].strip().split(", ")] == indices, words
     readme = flat("README.md")
-    assert len(NUMBER_TOPICS) == 8
-    assert "eight of its numbers, to plot by name" in readme
+    assert len(NUMBER_TOPICS) == 12
+    assert "twelve of its numbers, to plot by name" in readme
     (row_of_readme,) = re.findall(r"\| (`~/noise/.*?) \(out\) \|", readme)
     assert set(re.findall(r"`~/([\w/]+)`", row_of_readme)) <= set(NUMBER_TOPICS)
 

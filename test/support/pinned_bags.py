@@ -99,13 +99,15 @@ class BagCase(NamedTuple):
     every: int = 10
 
 
-JOINT, NONE, RQ = ({"adaptation": mode} for mode in ("joint", "none", "rq"))
+JOINT = {"adaptation": "joint", "lasting_errors": False}
+"""Mode joint without the filters of lasting errors: what it learns is what is pinned."""
+NONE, RQ = ({"adaptation": mode} for mode in ("none", "rq"))
 WRONG_NOISE = {
     "process_noise_std": (0.02, 0.02),
     "measurement_noise_std": (0.5, 0.5, 0.67),
     "lrf_yaw_std": 0.67,
 }
-CASES_OF_BAGS = {
+CASES_OF_BAGS: dict[str, BagCase] = {
     "sim1_joint": BagCase("sim1", JOINT),
     "sim2_joint": BagCase("sim2", JOINT),
     "round_joint": BagCase("round", JOINT),

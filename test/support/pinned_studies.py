@@ -40,6 +40,9 @@ FIRST_STEPS = (5, 10, 15, 20, 25, 30)
 """Steps after which their results are kept."""
 UPPER = np.triu_indices(3)
 
+WHITE = {"lasting_errors": False}
+"""Parameters of all filters: what mode joint learns is pinned, without errors that last."""
+
 Records = NDArray[Any]
 """A structured array; the first field says when."""
 
@@ -116,7 +119,8 @@ def study_results(name: str, filter_name: str) -> dict[str, Records]:
     """Return mean, covariance and NIS after the steps that are kept."""
     case = STUDIES[name]
     matching = matching_localizer(FakeRobotParameters(path=case.path))
-    filters = study_filters(build(LocalizerParameters, asdict(matching) | dict(case.parameters)))
+    changes = WHITE | dict(case.parameters)
+    filters = study_filters(build(LocalizerParameters, asdict(matching) | changes))
     recording = _recording(name)
     start = _start(case, recording)
     if filter_name == "oracle":  # knows the noise: all its starts are the same

@@ -1,0 +1,116 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Mode `joint` on simulated drives with errors that last, and with none."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from drives import TRUE_Q, TRUE_R
+from lasting_drives import Errors, lasting_drive, rms, tracked
+
+from fnn_ekf_ros.core.gate import gate_for
+from fnn_ekf_ros.core.lasting.compass_offset import offset_of
+from fnn_ekf_ros.core.lasting.members import WHITE
+from fnn_ekf_ros.core.state import FilterModel, FilterState
+
+pytestmark = pytest.mark.slow
+Make = Callable[..., FilterModel]
+MakeAdaptation = Callable[..., object]
+
+
+@pytest.fixture(scope="module")
+def joint(make_model: Make, make_adaptation: MakeAdaptation) -> FilterModel:
+    return dataclasses.replace(
+        make_model(
+            adaptation=make_adaptation(mode="joint"),
+            process_noise=tuple(TRUE_Q),
+            measurement_noise=tuple(TRUE_R),
+        ),
+        gate=gate_for(1e-6, 1e-6),
+        lasting_errors=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def plain(joint: FilterModel, make_adaptation: MakeAdaptation) -> FilterModel:
+    return dataclasses.replace(joint, adaptation=make_adaptation(mode="none"))
+
+
+def white_weight(state: FilterState) -> float:
+    assert state.lasting is not None
+    return float(state.lasting.weights[WHITE].mean())
+
+
+def assert_offset(state: FilterState, expected: float) -> None:
+    assert state.lasting is not None
+    assert np.all(state.lasting.offset.believed)
+    offset, variance = offset_of(state.lasting.bank)
+    np.testing.assert_allclose(offset, expected, atol=0.1)
+    assert np.all(variance < 0.1**2)
+
+
+def test_white_noise_from_the_right_start_costs_a_percent(
+    joint: FilterModel, plain: FilterModel
+) -> None:
+    """Against the filter that knows the noise."""
+    drive = lasting_drive(7, 20, 400, Errors())
+    found, oracle = tracked(joint, drive), tracked(plain, drive)
+    assert np.all(rms(found.error) < 1.01 * rms(oracle.error))
+    assert white_weight(found.states[-1]) > 0.9
+    mean_nees = float(found.nees.mean())
+    assert 1.2 < mean_nees < 3.5
+    last = found.states[-1].lasting
+    assert last is not None
+    assert not last.offset.believed.any()
+    assert not last.offset.doubted.any()
+
+
+def test_weights_leave_the_white_member_where_fix_errors_last(joint: FilterModel) -> None:
+    """Then the covariance tells of them, and the pose follows the fixes' errors less."""
+    drive = lasting_drive(7, 4, 800, Errors(fix_std=0.5))
+    alone = dataclasses.replace(joint, lasting_errors=False)
+    found, white = tracked(joint, drive), tracked(alone, drive)
+    assert white_weight(found.states[100]) > 0.8
+    assert white_weight(found.states[-1]) < 0.5
+    late = slice(400, None)
+    assert np.all(rms(found.error[late])[:2] < rms(white.error[late])[:2])
+    assert found.nees[late].mean() < 0.5 * white.nees[late].mean()
+
+
+def test_compass_that_is_off_from_the_first_reading_is_found(
+    joint: FilterModel, plain: FilterModel
+) -> None:
+    drive = lasting_drive(7, 6, 400, Errors(offset=0.8))
+    found, without = tracked(joint, drive, 0.8), tracked(plain, drive, 0.8)
+    assert_offset(found.states[-1], 0.8)
+    late = slice(300, None)
+    assert np.all(rms(found.error[late]) < 0.06)
+    assert rms(without.error[late])[2] > 0.3
+    assert found.nees[late].mean() < 4.0
+
+
+def test_compass_that_is_turned_while_driving_is_found(joint: FilterModel) -> None:
+    """The pose stays the truth's all the time."""
+    drive = lasting_drive(7, 6, 560, Errors(turned=1.6, turned_at=300))
+    found = tracked(joint, drive)
+    assert_offset(found.states[-1], 1.6)
+    assert np.abs(found.error[250:, 2]).max() < 0.3
+    assert np.all(rms(found.error[250:]) < 0.08)
+    doubted = np.array([state.lasting.offset.doubted for state in found.states])  # type: ignore[union-attr]
+    assert not doubted[:300].any()
+    assert doubted[300:320].any(axis=0).all()
+    assert not doubted[400:].any()
+
+
+def test_compass_that_is_turned_back_is_believed_again(joint: FilterModel) -> None:
+    there = lasting_drive(7, 4, 400, Errors(offset=0.8, turned=-0.8, turned_at=200))
+    found = tracked(joint, there, 0.8)
+    last = found.states[-1].lasting
+    assert last is not None
+    assert not last.offset.believed.any()
+    assert not last.offset.doubted.any()
+    np.testing.assert_allclose(offset_of(last.bank)[0], 0.0, atol=0.1)
+    assert np.all(rms(found.error[300:]) < 0.08)
