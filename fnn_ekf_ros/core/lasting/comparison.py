@@ -39,7 +39,8 @@ class Correcting(NamedTuple):
 
     Attributes:
         offset: `(*batch)` b_0; 0 where none is believed [rad].
-        variance: `(*batch)` its variance; 0 where none is believed [rad^2].
+        variance: `(*batch)` its variance; 0 where none is believed, very large while the compass is
+            doubted [rad^2].
         fix_yaw: `(*batch)` 1 where the fix's yaw has the errors of a yaw, else 0.
     """
 

@@ -114,9 +114,9 @@ class LastingState(NamedTuple):
 
     @property
     def believed_fix_variance(self) -> FloatArray:
-        """`(2, *batch)` variance of the lasting errors of x and y; 0 unless most weight is theirs.
+        """`(2, *batch)` variance of the lasting errors of x and y [m^2].
 
-        The prior alone makes no error believed [m^2].
+        0 unless lasting errors have most of the weight: the prior alone makes none believed.
         """
         factor = np.asarray((self.weights.T @ SQUARED_FACTORS).T)
         return np.where(self.fixes_last > LASTING_SHARE, factor, 0.0) * self.fix_variance
