@@ -65,8 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--state-file", metavar="BAG|FILE", type=Path,
-        help="noise that the filters that adapt start with: what each of their starts learned on "
-        "this recording, or what a localizer's state_file holds",
+        help="what the filters that adapt start with, noise and how much of the errors lasts: what "
+        "each of their starts learned on this recording, or what a localizer's state_file holds",
     )  # fmt: skip
     add_json_argument(parser)
     add_parameter_arguments(parser)

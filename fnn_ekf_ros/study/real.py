@@ -29,6 +29,7 @@ from fnn_ekf_ros.core.arrays import (
 from fnn_ekf_ros.core.filter import step
 from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
+from fnn_ekf_ros.localizer.history import LearnedState
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -82,6 +83,7 @@ class BatchStart(NamedTuple):
         rest: epochs from that instant to the first pose.
         inputs: of the periods that follow.
         stamps_ns: their ends [ns].
+        log_weight: `(H, M, n)` log weights of the members of lasting errors; None: the prior's.
     """
 
     stamp_ns: int
@@ -90,18 +92,7 @@ class BatchStart(NamedTuple):
     rest: tuple[Epoch, ...]
     inputs: tuple[PeriodInputs, ...]
     stamps_ns: tuple[int, ...]
-
-
-class StartNoise(NamedTuple):
-    """Noise of n starts that replaces their own, as a warm start's replaces the configured one.
-
-    Attributes:
-        process: `(n, 2)` diagonal of Q (m^2, rad^2).
-        measurement: `(n, 4)` diagonal of R, rows as in `Row`.
-    """
-
-    process: FloatArray
-    measurement: FloatArray
+    log_weight: FloatArray | None = None
 
 
 class Run(NamedTuple):
@@ -167,7 +158,7 @@ def batch_start(
     parameters: LocalizerParameters,
     periods: Sequence[Period],
     cells: Sequence[Cell],
-    taught: StartNoise | None = None,
+    taught: LearnedState | None = None,
 ) -> BatchStart:
     """Return the starts of all cells, as the localizer finds them.
 
@@ -175,7 +166,9 @@ def batch_start(
         parameters: with the noise that a factor of 1 stands for.
         periods: in which a filter starts, or has started before.
         cells: how wrong the starts are.
-        taught: noise that replaces the cells'; covariances that fixes report then count once.
+        taught: what was learned before, each with a last axis of the cells; it replaces their
+            noise, as a warm start's replaces the configured one. Covariances that fixes report then
+            count once.
 
     Raises:
         ParameterError: the noise of a cell would leave its bounds.
@@ -191,7 +184,8 @@ def batch_start(
         noise = np.asarray(model.process_noise), np.asarray(model.measurement_noise)
         factor = cell.k
         if taught is not None:
-            noise, factor = (taught.process[index], taught.measurement[index]), 1.0
+            noise = taught.process_noise[:, index], taught.measurement_noise[:, index]
+            factor = 1.0
         taken, state, from_readings, rest = _first_state(model, noise, factor, periods)
         states.append(state)
         noises.append(noise)
@@ -209,6 +203,7 @@ def batch_start(
         rest=rest,
         inputs=tuple(period.inputs for period in following),
         stamps_ns=tuple(period.end_ns for period in following),
+        log_weight=None if taught is None else taught.log_weight,
     )
 
 
@@ -227,6 +222,7 @@ def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
         components_first(start.process_noise),
         components_first(start.measurement_noise),
         from_readings=batch.from_readings,
+        log_weight=batch.log_weight,
     )
     cells = len(start.mean)
     if batch.rest:

@@ -32,7 +32,7 @@ from fnn_ekf_ros.study.real import (
     score_starts,
 )
 from fnn_ekf_ros.study.starts import ALL_CELLS
-from fnn_ekf_ros.study.taught import Teacher, taught_noise
+from fnn_ekf_ros.study.taught import Teacher, taught_by
 from fnn_ekf_ros.timeline.initialization import AwaitingStart
 from fnn_ekf_ros.timeline.period import Period
 
@@ -105,8 +105,8 @@ class BagResult(NamedTuple):
         duration_s: from the first estimate to the last [s].
         estimates: how many.
         scored: how many of them with a known truth.
-        taught_by: what the filters that adapt have their start's noise from; empty for the starts'
-            own.
+        taught_by: what the filters that adapt have learned from before; empty for the starts' own
+            noise.
         reference: what the filters are compared with.
         filters: the fixed EKFs first.
     """
@@ -206,7 +206,7 @@ def run_filters(
     Args:
         recording: the bag.
         names: of the filters; the fixed EKFs first.
-        teacher: gives the filters that adapt the noise they start with; None for the starts' own.
+        teacher: gives the filters that adapt what they start with; None for the starts' own noise.
 
     Raises:
         FnnEkfError: a filter failed.
@@ -268,8 +268,8 @@ def _prepared(recording: RealRecording, name: str, teacher: Teacher | None) -> R
     """Return a recording with the starts of a filter, of what it was taught if it adapts."""
     if teacher is None or name in FIXED:
         return recording
-    noise = taught_noise(teacher, name)
-    batch = batch_start(recording.parameters, recording.periods, ALL_CELLS, noise)
+    learned = taught_by(teacher, name)
+    batch = batch_start(recording.parameters, recording.periods, ALL_CELLS, learned)
     return recording._replace(batch=batch)
 
 

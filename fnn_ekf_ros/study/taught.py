@@ -1,12 +1,12 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Noise that filters of `study real` start with because another recording taught it.
+"""What filters of `study real` start with because another recording taught it.
 
 A start does what a warm start does, without the saved pose: the noise that was learned takes the
-place of the configured one. A state file holds one noise, for every start. Of a recording every
-filter learns from each of the starts by itself, so that a start which was wrong there goes on with
-what it has become.
+place of the configured one, and the weights of the hypotheses about lasting errors that of the
+prior. A state file holds these once, for every start. Of a recording every filter learns from each
+of the starts by itself, so that a start which was wrong there goes on with what it has become.
 """
 
 from pathlib import Path
@@ -14,14 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.state import FilterState, persistent_noise
+from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.localizer.history import LearnedState, learned_by
 from fnn_ekf_ros.localizer.saved_state import SavedState
 from fnn_ekf_ros.localizer.state_file import ROBOT, read_state
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.study.filters import localizer_models
-from fnn_ekf_ros.study.real import BatchStart, StartNoise, run_starts
+from fnn_ekf_ros.study.real import BatchStart, run_starts
 from fnn_ekf_ros.study.starts import ALL_CELLS
 
 
@@ -67,8 +69,8 @@ def check_same_robot(teacher: Teacher, label: str, parameters: LocalizerParamete
             )
 
 
-def taught_noise(teacher: Teacher, name: str) -> StartNoise:
-    """Return the noise of every start of a filter, without what an alarm has added.
+def taught_by(teacher: Teacher, name: str) -> LearnedState:
+    """Return what every start of a filter begins with, each with a last axis of the starts.
 
     Args:
         teacher: the teacher.
@@ -77,11 +79,12 @@ def taught_noise(teacher: Teacher, name: str) -> StartNoise:
     Raises:
         FnnEkfError: the filter failed on the teacher's recording.
     """
-    count = len(ALL_CELLS)
     if isinstance(teacher.source, SavedState):
         saved = teacher.source
-        return StartNoise(
-            np.tile(saved.process_noise, (count, 1)), np.tile(saved.measurement_noise, (count, 1))
+        return LearnedState(
+            _of_all_starts(saved.process_noise),
+            _of_all_starts(saved.measurement_noise),
+            None if saved.log_weight is None else _of_all_starts(saved.log_weight),
         )
     model, last = localizer_models(teacher.parameters)[name].model, None
     states = run_starts(model, teacher.source)
@@ -92,5 +95,8 @@ def taught_noise(teacher: Teacher, name: str) -> StartNoise:
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         raise FnnEkfError(f"'{teacher.label}': the filter {name} failed ({error})") from None
     assert isinstance(last, FilterState)
-    noise = persistent_noise(model, last.process_noise, last.measurement_noise, last.joint)
-    return StartNoise(*(each.T for each in noise))
+    return learned_by(model, last)
+
+
+def _of_all_starts(values: FloatArray) -> FloatArray:
+    return np.broadcast_to(values[..., None], (*values.shape, len(ALL_CELLS)))

@@ -234,8 +234,8 @@ def _teacher(result: BagResult) -> str:
     if not result.taught_by:
         return ""
     return (
-        f" Filters that adapt start with the noise that {result.taught_by} taught them, in place "
-        "of q and k."
+        f" Filters that adapt start with what {result.taught_by} taught them: noise in place of q "
+        "and k, and how much of the errors lasts."
     )
 
 
