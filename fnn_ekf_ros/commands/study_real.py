@@ -28,7 +28,8 @@ from fnn_ekf_ros.parameters.schema import ParameterError, build
 from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.reports.result_folder import prepare_study
-from fnn_ekf_ros.study.filters import EKF, EKF_GATED, FIXED, JOINT, SET_BY_NAMES, localizer_models
+from fnn_ekf_ros.study.ablations import real_filters
+from fnn_ekf_ros.study.filters import EKF, EKF_GATED, FIXED, JOINT, SET_BY_NAMES
 from fnn_ekf_ros.study.real import batch_start
 from fnn_ekf_ros.study.real_bags import read_periods, read_recording, run_filters
 from fnn_ekf_ros.study.report.real_figures import draw_real
@@ -61,7 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--filters", metavar="A,B", default=JOINT,
-        help=f"names of the localizer's filters beside {' and '.join(FIXED)} ({JOINT})",
+        help=f"names of the localizer's filters beside {' and '.join(FIXED)}, and of {JOINT} "
+        f"without one of its parts ({JOINT})",
     )  # fmt: skip
     parser.add_argument(
         "--state-file", metavar="BAG|FILE", type=Path,
@@ -87,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise FnnEkfError(f"{', '.join(labels)}: expected bags of different names")
     out = arguments.out
     settings = [_parameters(path, arguments) for path in arguments.bags]
-    possible = [name for name in localizer_models(settings[0][0]) if name != EKF]
+    possible = [name for name in real_filters(settings[0][0]) if name != EKF]
     chosen = chosen_names("--filters", arguments.filters, possible)
     names = [*FIXED, *(name for name in chosen if name != EKF_GATED)]
     teacher = _teacher(arguments, settings[0][0])

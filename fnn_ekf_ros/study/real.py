@@ -14,7 +14,7 @@ the fixes bring covariances of their own, they count k times, too.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -207,12 +207,17 @@ def batch_start(
     )
 
 
-def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
+def run_starts(
+    model: FilterModel,
+    batch: BatchStart,
+    hold: Callable[[FilterState], FilterState] = lambda state: state,
+) -> Iterator[FilterState]:
     """Yield the state at the start and after each period, all starts as one batch.
 
     Args:
         model: the filter, with the noise that a factor of 1 stands for.
         batch: starts and periods.
+        hold: changes each of these states before the filter goes on from it.
     """
     start = batch.start
     begin = start_filter(
@@ -225,14 +230,16 @@ def run_starts(model: FilterModel, batch: BatchStart) -> Iterator[FilterState]:
         log_weight=batch.log_weight,
     )
     cells = len(start.mean)
+    begin = hold(begin)
     if batch.rest:
         begin, _ = step(model, begin, [_of_all(epoch, cells) for epoch in batch.rest])
-    state: FilterState | AwaitingStart = begin
-    for inputs in (None, *batch.inputs):
-        if inputs is not None:
-            state, _ = run_period(model, state, _for_cells(inputs, cells))
-        if isinstance(state, FilterState):  # a filter that runs never waits again
-            yield state
+        begin = hold(begin)
+    yield begin
+    for inputs in batch.inputs:
+        after, _ = run_period(model, begin, _for_cells(inputs, cells))
+        assert isinstance(after, FilterState)  # a filter that runs never waits again
+        begin = hold(after)
+        yield begin
 
 
 def _for_cells(inputs: PeriodInputs, cells: int) -> PeriodInputs:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray, Row
-from fnn_ekf_ros.core.state import FilterModel
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader
@@ -18,7 +17,8 @@ from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in, last_words, tak
 from fnn_ekf_ros.recordings.scoring import interpolate
 from fnn_ekf_ros.recordings.trajectories import read_trajectory
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.study.filters import EKF_GATED, FIXED, localizer_models
+from fnn_ekf_ros.study.ablations import RealFilter, real_filters
+from fnn_ekf_ros.study.filters import EKF_GATED, FIXED
 from fnn_ekf_ros.study.real import (
     BatchStart,
     RealScore,
@@ -211,10 +211,8 @@ def run_filters(
     Raises:
         FnnEkfError: a filter failed.
     """
-    models = localizer_models(recording.parameters)
-    runs = {
-        name: _run(_prepared(recording, name, teacher), name, models[name].model) for name in names
-    }
+    known = real_filters(recording.parameters)
+    runs = {name: _run(_prepared(recording, name, teacher), name, known[name]) for name in names}
     scores = {name: score_starts(each, recording.truth) for name, each in runs.items()}
     reference = _reference(scores[EKF_GATED])
     filters = []
@@ -225,12 +223,12 @@ def run_filters(
                 process_noise=ended.process_noise, measurement_noise=ended.measurement_noise
             )
             again = recording._replace(batch=recording.batch._replace(start=start))
-            rerun = _run(again, f"EKF on noise of {name}", models[EKF_GATED].model)
+            rerun = _run(again, f"EKF on noise of {name}", known[EKF_GATED])
             found = score_starts(rerun, recording.truth).position
         filters.append(
             FilterResult(
                 name=name,
-                label=models[name].label,
+                label=known[name].label,
                 score=scores[name],
                 diverged=diverged(scores[name], reference.position),
                 process_noise_std=np.sqrt(ended.process_noise),
@@ -273,9 +271,8 @@ def _prepared(recording: RealRecording, name: str, teacher: Teacher | None) -> R
     return recording._replace(batch=batch)
 
 
-def _run(recording: RealRecording, name: str, model: FilterModel) -> Run:
-    batch = recording.batch
-    states = run_starts(model, batch)
+def _run(recording: RealRecording, name: str, which: RealFilter) -> Run:
+    states = run_starts(which.model, recording.batch, which.hold)
     try:
         return collect(with_progress(states, len(recording.truth), f"{recording.label}: {name}"))
     except (ArithmeticError, np.linalg.LinAlgError) as error:

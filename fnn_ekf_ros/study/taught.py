@@ -22,7 +22,7 @@ from fnn_ekf_ros.localizer.saved_state import SavedState
 from fnn_ekf_ros.localizer.state_file import ROBOT, read_state
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.study.filters import localizer_models
+from fnn_ekf_ros.study.ablations import real_filters
 from fnn_ekf_ros.study.real import BatchStart, run_starts
 from fnn_ekf_ros.study.starts import ALL_CELLS
 
@@ -86,8 +86,8 @@ def taught_by(teacher: Teacher, name: str) -> LearnedState:
             _of_all_starts(saved.measurement_noise),
             None if saved.log_weight is None else _of_all_starts(saved.log_weight),
         )
-    model, last = localizer_models(teacher.parameters)[name].model, None
-    states = run_starts(model, teacher.source)
+    which, last = real_filters(teacher.parameters)[name], None
+    states = run_starts(which.model, teacher.source, which.hold)
     try:
         total = 1 + len(teacher.source.inputs)
         for state in with_progress(states, total, f"{teacher.label}: {name} learns"):
@@ -95,7 +95,7 @@ def taught_by(teacher: Teacher, name: str) -> LearnedState:
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         raise FnnEkfError(f"'{teacher.label}': the filter {name} failed ({error})") from None
     assert isinstance(last, FilterState)
-    return learned_by(model, last)
+    return learned_by(which.model, last)
 
 
 def _of_all_starts(values: FloatArray) -> FloatArray:

@@ -297,6 +297,7 @@ def test_the_same_numbers_as_replay_and_evaluate(
         (["--truth-topic", "/left_ticks"], "topic /left_ticks is of type std_msgs/msg/Int32"),
         (["--filters", "ukf"], "--filters ukf: expected some of ekf_gated, joint, rq_published, "),
         (["--filters", "oracle"], "--filters oracle: expected some of ekf_gated, "),
+        (["--filters", "bank"], ", joint_without_outages, joint_without_yaw_errors"),
         (["-p", "adaptation:=r"], "parameter 'adaptation': it follows from the names of"),
         (
             ["-p", "process_noise_std:=[3.0, 0.1]"],
