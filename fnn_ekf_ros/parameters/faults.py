@@ -236,8 +236,36 @@ class Outliers(Fault):
 
 
 @dataclass(frozen=True, slots=True)
+class Misplaced(Fault):
+    """Fixes lie about one place in the map, wherever the robot is: a scene that looks alike."""
+
+    topic: str = _topic(("lrf_pose",))
+    duration: float = _duration()
+    place: tuple[float, float] = parameter(
+        (math.nan, math.nan), "The place.", "[m, m]", at_least=-1e6, at_most=1e6, required=True
+    )
+    spread: float = parameter(0.1, "Std about it, of x and of y.", "m", at_least=0.0, at_most=1e3)
+    rate: float = _rate(0.25)
+
+
+@dataclass(frozen=True, slots=True)
+class Wander(Fault):
+    """Measurements have an error that wanders, as of GPS beside buildings (Gauss-Markov)."""
+
+    topic: str = _topic(FIXES)
+    duration: float = _duration()
+    std: float = parameter(
+        math.nan, "Std of the error in the long run: of a fix's x and y, or of the compass's yaw.",
+        "m or rad", at_least=0.0, at_most=1e3, required=True,
+    )  # fmt: skip
+    time_constant: float = parameter(
+        60.0, "Time over which it is lost; the error begins at 0.", "s", at_least=0.1, at_most=1e5
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Bias(Fault):
-    """All measurements lie off by the same."""
+    """Measurements lie off by the same; with a rate those of one of two sources that differ."""
 
     topic: str = _topic(FIXES)
     duration: float = _duration()
@@ -249,6 +277,7 @@ class Bias(Fault):
         at_most=1e6,
         required=True,
     )
+    rate: float = _rate()
 
     def check(self) -> None:
         """Refuse a place off which the compass cannot be."""
@@ -354,7 +383,9 @@ GROUPS: dict[str, dict[str, type[Fault]]] = {
     },
     "What is measured": {
         "outliers": Outliers,
+        "misplaced": Misplaced,
         "bias": Bias,
+        "wander": Wander,
         "noise": Noise,
         "frozen": Frozen,
         "nan": NotANumber,

@@ -7,6 +7,7 @@ Every fault is a stage. What a stage lets through enters the next one in the sam
 fault is on is asked when a message enters its stage.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,9 +24,10 @@ from fnn_ekf_ros.parameters.faults import (
     Fault,
     Frozen,
     Reordered,
+    Wander,
 )
 from fnn_ekf_ros.simulation.robot import STEP_S
-from fnn_ekf_ros.simulation.spoiling import SPOILERS, jittered, spoiled, with_stamp
+from fnn_ekf_ros.simulation.spoiling import SPOILERS, jittered, shifted, spoiled, with_stamp
 
 STEP_NS = round(STEP_S * 1e9)
 """Length of a step of the simulation [ns]."""
@@ -105,6 +107,20 @@ class _Freezing(Stage[Frozen]):
         return (sent._replace(message=frozen),)
 
 
+class _Wandering(Stage[Wander]):
+    def __init__(self, fault: Wander, rng: np.random.Generator) -> None:
+        super().__init__(fault, rng)
+        self._error = np.zeros(2)
+        self._step = self._first
+
+    def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:
+        kept = math.exp(-(step - self._step) * STEP_S / self._fault.time_constant)
+        added = self._fault.std * math.sqrt(1.0 - kept * kept)
+        self._error = kept * self._error + added * self._rng.standard_normal(2)
+        self._step = step
+        return (sent._replace(message=shifted(sent.message, self._error)),)
+
+
 class _Losing(Stage[Dropout]):
     def _suffering(self, step: int, sent: Sent) -> Iterable[Sent]:  # noqa: ARG002
         return ()
@@ -155,7 +171,7 @@ class _Swapping(_Holding):
 
 
 _STAGES: tuple[dict[type[Fault], type[Stage[Any]]], ...] = (
-    {**dict.fromkeys(SPOILERS, _Spoiling), Frozen: _Freezing},
+    {**dict.fromkeys(SPOILERS, _Spoiling), Frozen: _Freezing, Wander: _Wandering},
     {
         Dropout: _Losing,
         Duplicates: _Doubling,

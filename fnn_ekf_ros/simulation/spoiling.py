@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.faults import (
     BadCovariance,
     Bias,
     Fault,
+    Misplaced,
     NotANumber,
     Outliers,
     WrongFrame,
@@ -34,6 +36,18 @@ LATEST_STAMP_NS = 2_100_000_000 * 10**9
 def with_stamp(message: Message, stamp: Message) -> Message:
     """Return a message with another builtin_interfaces/Time in its header."""
     return _with(message, header=_with(message.fields["header"], stamp=stamp))
+
+
+def shifted(message: Message, error: FloatArray) -> Message:
+    """Return a message with an error.
+
+    Args:
+        message: a fix, or a message of the compass.
+        error: `(2,)` of the fix's x and y [m], or of the compass's yaw, which is the first [rad].
+    """
+    if message.type_name == messages.COMPASS_TYPE:
+        return _turned(message, float(error[0]))
+    return _moved(message, *map(float, error))
 
 
 def jittered(message: Message, std: float, rng: np.random.Generator) -> Message:
@@ -65,6 +79,11 @@ def _outlier(fault: Outliers, message: Message, rng: np.random.Generator) -> Mes
     if message.type_name == messages.COMPASS_TYPE:
         return _turned(message, math.copysign(fault.size, direction))
     return _moved(message, fault.size * math.cos(direction), fault.size * math.sin(direction))
+
+
+def _misplaced(fault: Misplaced, message: Message, rng: np.random.Generator) -> Message:
+    x, y = np.asarray(fault.place) + fault.spread * rng.standard_normal(2)
+    return _placed(message, x=float(x), y=float(y))
 
 
 def _bias(fault: Bias, message: Message, _: np.random.Generator) -> Message:
@@ -117,6 +136,7 @@ def _bad_covariance(fault: BadCovariance, message: Message, _: np.random.Generat
 
 SPOILERS: dict[type[Fault], Callable[[Any, Message, np.random.Generator], Message]] = {
     Outliers: _outlier,
+    Misplaced: _misplaced,
     Bias: _bias,
     NotANumber: _not_a_number,
     ZeroQuaternion: _zero_quaternion,

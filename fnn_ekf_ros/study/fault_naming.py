@@ -6,6 +6,7 @@
 The list was drawn up by what fails on robots, before anything was measured.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from fnn_ekf_ros.parameters.faults import (
     Dropout,
     Fault,
     Frozen,
+    Misplaced,
     Noise,
     NotANumber,
     Outliers,
@@ -30,6 +32,7 @@ from fnn_ekf_ros.parameters.faults import (
     TickGlitch,
     TickReset,
     UnequalWheels,
+    Wander,
     WrongFrame,
     WrongStamp,
     WrongUnit,
@@ -62,17 +65,25 @@ class FaultCase(NamedTuple):
         about: what it is.
         sensor: who is to be named.
         faults: makes it, from its time of onset [s].
+        from_start: whether it is there from the first reading on.
     """
 
     name: str
     about: str
     sensor: Sensor
     faults: Callable[[float], tuple[Fault, ...]]
+    from_start: bool = False
 
 
-def _case(name: str, about: str, *makers: Callable[[float], Fault]) -> FaultCase:
+def _case(
+    name: str, about: str, *makers: Callable[[float], Fault], from_start: bool = False
+) -> FaultCase:
     sensor = next((s for s in Sensor if name.startswith(f"{s}_")), Sensor.ENCODERS)
-    return FaultCase(name, about, sensor, lambda t: tuple(make(t) for make in makers))
+    return FaultCase(name, about, sensor, lambda t: tuple(make(t) for make in makers), from_start)
+
+
+def _turned_compass(angle: float) -> Callable[[float], Fault]:
+    return lambda t: Bias(start=t, topic=C, size=(0.0, 0.0, angle))
 
 
 NAMING_CASES: tuple[FaultCase, ...] = (
@@ -97,6 +108,15 @@ NAMING_CASES: tuple[FaultCase, ...] = (
           lambda t: Frozen(start=t, topic=C, jitter=1e-3)),
     _case("compass_bias", "off by 1.5 rad",
           lambda t: Bias(start=t, topic=C, size=(0.0, 0.0, 1.5))),
+    *(
+        _case(f"compass_turned_{name}", f"turned by {name} rad", _turned_compass(angle))
+        for name, angle in (("pi/2", math.pi / 2.0), ("3", 3.0))
+    ),
+    *(
+        _case(f"compass_off_{name}", f"off by {name} rad from the first reading on",
+              _turned_compass(angle), from_start=True)
+        for name, angle in (("0.3", 0.3), ("0.8", 0.8), ("pi/2", math.pi / 2.0), ("pi", math.pi))
+    ),
     _case("compass_dropout", "no more messages", lambda t: Dropout(start=t, topic=C)),
     _case("compass_zero_quaternion", "all zero", lambda t: ZeroQuaternion(start=t, topic=C)),
     _case("compass_nan", "not a number", lambda t: NotANumber(start=t, topic=C)),
@@ -122,6 +142,16 @@ NAMING_CASES: tuple[FaultCase, ...] = (
     _case("lrf_pose_frame", "in another frame", lambda t: WrongFrame(start=t, topic=L)),
     _case("lrf_pose_unit", "millimeters taken for meters",
           lambda t: WrongUnit(start=t, topic=L, factor=1000.0)),
+    _case("lrf_pose_scattered", "30 % are off by 3 m",
+          lambda t: Outliers(start=t, topic=L, size=3.0, rate=0.3)),
+    _case("lrf_pose_one_place", "25 % lie about one place",
+          lambda t: Misplaced(start=t, topic=L, place=(1.0, 1.0), rate=0.25)),
+    _case("lrf_pose_two_sources", "every other one, at random, is off by 0.5 m",
+          lambda t: Bias(start=t, topic=L, size=(0.5, 0.0, 0.0), rate=0.5)),
+    _case("lrf_pose_jump", "off by 1.8 m for 10 s",
+          lambda t: Bias(start=t, topic=L, size=(1.5, -1.0, 0.0), duration=10.0)),
+    _case("lrf_pose_wander", "an error of 1 m that lasts a minute",
+          lambda t: Wander(start=t, topic=L, std=1.0, time_constant=60.0)),
     _case("lrf_pose_late", "2 s late and stamped on arrival",
           lambda t: Delay(start=t, topic=L, size=2.0),
           lambda t: WrongStamp(start=t, topic=L, size=2.0)),
@@ -230,7 +260,7 @@ def reports(setting: Setting, duration_s: float, faults: Sequence[Fault] = ()) -
 
 def name_fault(case: FaultCase, setting: Setting, rng: np.random.Generator) -> Naming:
     """Return what diagnostics say of a fault; `rng` draws its onset."""
-    onset_s = float(rng.uniform(*ONSET_S))
+    onset_s = 0.0 if case.from_start else float(rng.uniform(*ONSET_S))
     found = [
         report
         for report in reports(setting, onset_s + NAMED_WITHIN_S, case.faults(onset_s))
