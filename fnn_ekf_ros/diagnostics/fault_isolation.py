@@ -32,6 +32,9 @@ for `LEAD_LASTS_NS` [nats]: a likelihood ratio of 400."""
 CLEARED_LEAD = 3.0
 """Lead under which a suspect does not explain another sensor's symptoms [nats]: right sensors
 seldom have more."""
+LEARNING_NS = 30 * 10**9
+"""Time from the start of a filter that learns its noise until a sensor is suspected [ns]: before,
+the assumed noise may be what is wrong, by 25 in variance and of several sensors."""
 AGREEING = 2
 """Rejected fixes that agree with each other and the wheels from which on the fixes seem to have
 jumped; the wheels are not named until that is decided."""
@@ -160,10 +163,8 @@ def with_doubtful_yaw(found: FaultIsolation, sensor: Sensor, *, turned: bool) ->
     Args:
         found: by leads and symptoms.
         sensor: whose yaw it is.
-        turned: whether it seems to have been turned; slip of the wheels can look the same.
+        turned: whether it was turned: the fixes have decided between it and the wheels.
     """
-    if turned and found.named is Sensor.ENCODERS:  # their lead over the compass is clear
-        return found
     if turned:
         return FaultIsolation(named=sensor, suspects=(sensor,), leads=found.leads)
     if not found.suspects or found.named is sensor:

@@ -79,6 +79,7 @@ class RecentPeriods(NamedTuple):
 
     Attributes:
         readings: of the compass and of the fixes.
+        start_ns: end of the period in which the filter started [ns].
         fix_ns: end of the period in which a fix was accepted last, or the filter started, later by
             the time that the robot has stood since [ns].
         yaw_ns: likewise of a yaw [ns].
@@ -90,6 +91,7 @@ class RecentPeriods(NamedTuple):
     """
 
     readings: SensorReadings
+    start_ns: int
     fix_ns: int
     yaw_ns: int
     moved: Move | None = None
@@ -103,6 +105,7 @@ def begin_recent(end_ns: int) -> RecentPeriods:
     """Return what is kept when a filter starts, or its pose is set, at an instant [ns]."""
     return RecentPeriods(
         readings=SensorReadings(),
+        start_ns=end_ns,
         fix_ns=end_ns,
         yaw_ns=end_ns,
         leads=(Leads(end_ns, (0.0,) * len(SUSPECTS)),),
@@ -157,7 +160,7 @@ def recent_after(
     if recent is None:
         return begun
     if isinstance(before, AwaitingStart) or result is None or inputs.reset is not None:
-        return begun._replace(moved=recent.moved, moves=recent.moves)
+        return begun._replace(start_ns=recent.start_ns, moved=recent.moved, moves=recent.moves)
     return _after_running(model, recent, before, after, inputs, result, end_ns)
 
 

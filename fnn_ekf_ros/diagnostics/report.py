@@ -15,6 +15,7 @@ from fnn_ekf_ros.core.lasting.report import LastingReport, report_lasting
 from fnn_ekf_ros.core.state import FilterState
 from fnn_ekf_ros.diagnostics.encoder_status import EncoderStatus
 from fnn_ekf_ros.diagnostics.fault_isolation import (
+    LEARNING_NS,
     NO_FAULT,
     FaultIsolation,
     isolate_fault,
@@ -226,7 +227,7 @@ class DiagnosticsReport:
         offset = None
         if lasting is not None:
             offset = yaw_offset(lasting, self._parameters.compass_offset)
-        found = self._isolate(now_ns, encoders, frozen, lasting, recent)
+        found = self._isolate(now_ns, encoders, frozen, lasting, recent, mode)
         moved = new_move(self._reported_move, recent)
         self._reported_move = moved or self._reported_move
         facts = FilterFacts(
@@ -278,6 +279,7 @@ class DiagnosticsReport:
         frozen: dict[Sensor, FrozenReadings],
         lasting: LastingReport | None,
         recent: RecentPeriods | None,
+        mode: AdaptationMode,
     ) -> FaultIsolation:
         """Return the sensor that does not fit, unless a fault that is seen already explains it."""
         if recent is None:
@@ -286,6 +288,8 @@ class DiagnosticsReport:
             self._explained_by[Sensor.ENCODERS] = now_ns
         self._explained_by |= dict.fromkeys(frozen, now_ns)
         found = isolate_fault(recent, self._parameters.wheel_separation)
+        if mode is AdaptationMode.JOINT and now_ns - recent.start_ns < LEARNING_NS:
+            found = NO_FAULT._replace(leads=found.leads)
         doubtful = None if lasting is None else doubtful_yaw(lasting)
         explained = {
             sensor

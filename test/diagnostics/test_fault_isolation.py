@@ -54,7 +54,7 @@ def periods(
     compass: Readings = RIGHT,
     lrf_pose: Readings = RIGHT,
 ) -> RecentPeriods:
-    return RecentPeriods(SensorReadings(compass, lrf_pose), 0, 0, leads=(Leads(0, leads),))
+    return RecentPeriods(SensorReadings(compass, lrf_pose), 0, 0, 0, leads=(Leads(0, leads),))
 
 
 def test_nothing_wrong_names_nobody() -> None:

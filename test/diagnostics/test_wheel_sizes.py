@@ -132,7 +132,7 @@ def test_a_robot_at_rest_has_no_sizes() -> None:
 
 def test_wheels_are_named_unless_another_sensor_is_suspected() -> None:
     nobody = (Leads(0, (0.0, 0.0, 0.0)),)
-    seen = RecentPeriods(SensorReadings(), 0, 0, leads=nobody, corrections=corrections(0.2))
+    seen = RecentPeriods(SensorReadings(), 0, 0, 0, leads=nobody, corrections=corrections(0.2))
     found = isolate_fault(seen, SEPARATION)
     assert found.named is Sensor.ENCODERS
     assert found.sizes is not None

@@ -21,7 +21,7 @@ from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.bank import Bank, Noise, Readings
 from fnn_ekf_ros.core.lasting.augmented import POSE, Component, observe
-from fnn_ekf_ros.core.lasting.members import OF_MEMBERS, WITNESS
+from fnn_ekf_ros.core.lasting.members import OF_MEMBERS, WITNESS, WITNESSES
 from fnn_ekf_ros.core.rows import (
     COMPASS,
     FIX_ROWS,
@@ -59,8 +59,8 @@ class Comparison(NamedTuple):
         position_nis: `(F, *batch)` NIS of a fix's x and y.
         position_determinant: `(F, *batch)` det S of these [m^4].
         nis: `(2, *batch)` NIS of each sensor against the mixture; 0 where it measured nothing.
-        witness_surprise: `(*batch)` innovation of the compass against the witness over its standard
-            deviation; 0 without a reading.
+        witness_variance: `(2, *batch)` variance of the innovation of the compass against the
+            witness and its antipode [rad^2].
         mixed: `(4, *batch)` innovation of the mixture (m, m, rad, rad).
         variance: `(4, *batch)` diagonal of its S.
     """
@@ -71,9 +71,15 @@ class Comparison(NamedTuple):
     position_nis: FloatArray
     position_determinant: FloatArray
     nis: FloatArray
-    witness_surprise: FloatArray
+    witness_variance: FloatArray
     mixed: FloatArray
     variance: FloatArray
+
+    @property
+    def witness_innovation(self) -> FloatArray:
+        """`(2, *batch)` that innovation; 0 without a reading [rad]."""
+        innovation: FloatArray = self.innovation[Row.COMPASS_YAW, WITNESSES]
+        return innovation
 
 
 def compare(
@@ -93,7 +99,7 @@ def compare(
     r = _innovation(bank, expected, correcting, readings)
     compass_noise = np.empty(r.shape[1:])
     compass_noise[...] = R[Row.COMPASS_YAW] + correcting.variance
-    compass_noise[WITNESS] = R[Row.COMPASS_YAW, 0]
+    compass_noise[WITNESSES] = R[Row.COMPASS_YAW]
     fix_noise = _fix_noise(noise)
 
     members = OF_MEMBERS
@@ -104,11 +110,11 @@ def compare(
     fix_HPH = _fix_covariance(bank, HPH, correcting, available)[:, :, members]
     S = (weights * (fix_HPH + fix_noise + d[_FIX, None] * d[None, _FIX])).sum(axis=2)
 
-    seen = r[Row.COMPASS_YAW, WITNESS]
-    witness_S = HPH[Component.YAW, Component.YAW, WITNESS] + compass_noise[WITNESS]
-    witness_surprise = seen / np.sqrt(witness_S)
+    witness_S = HPH[Component.YAW, Component.YAW, WITNESSES] + compass_noise[WITNESSES]
     nis = np.empty((SENSOR_COUNT, *compass_S.shape))
-    nis[COMPASS] = np.minimum(mixed[Row.COMPASS_YAW] ** 2 / compass_S, witness_surprise**2)
+    nis[COMPASS] = np.minimum(
+        mixed[Row.COMPASS_YAW] ** 2 / compass_S, r[Row.COMPASS_YAW, WITNESS] ** 2 / witness_S[0]
+    )
     nis[LRF_POSE] = _fix_nis(mixed[_FIX], S, available)
     position_nis, determinant = two_row_nis(r[:2], HPH[:2, :2] + fix_noise[:2, :2])
     variance = np.empty(mixed.shape)
@@ -121,7 +127,7 @@ def compare(
         position_nis=position_nis,
         position_determinant=determinant,
         nis=nis,
-        witness_surprise=witness_surprise,
+        witness_variance=witness_S,
         mixed=mixed,
         variance=variance,
     )
@@ -145,13 +151,13 @@ def _innovation(
             e = z[row] - expected[row]
         elif row is Row.COMPASS_YAW:
             e = z[row] - correcting.offset - expected[Component.YAW]
-            e[WITNESS] += correcting.offset
+            e[WITNESSES] += correcting.offset
             e = wrap_angle(e)
         else:
             offset = correcting.fix_yaw * correcting.offset
             errors = mean[Component.YAW_DRIFT] + mean[Component.YAW_OFFSET]
             e = z[row] - offset - mean[Component.YAW] - correcting.fix_yaw * errors
-            e[WITNESS] += offset
+            e[WITNESSES] += offset
             e = wrap_angle(e)
         r[row] = e if some is None else np.where(some, e, 0.0)
     return r

@@ -12,18 +12,28 @@ is usual,
 tell whether the offset is believed: from D > 4 for 10 s until D < 0. While it is believed all other
 filters see z - b_0 with the variance R + P_b0. A compass that is turned while the robot drives
 surprises the witness: the sum of its normalized innovations to one side, each less .7 (CUSUM, Page
-1954), rises. From 9 on its offset is unknown again, and the other filters do without the compass
-until the witness knows it.
+1954), rises. Slipping wheels or a stuck one surprise it as well; the fixes tell them apart. The
+advocate of the compass, a filter that takes the wheels for wrong, follows the compass. While the
+sum is not 0 the fixes' log likelihood ratio of witness to advocate is added up. From 9 and a ratio
+of 2 on the compass was turned: its offset is unknown again, and the other filters do without the
+compass until the witness knows it.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.bank import Bank
 from fnn_ekf_ros.core.lasting.augmented import Component
-from fnn_ekf_ros.core.lasting.members import WITNESS, WITNESS_OFFSET_STD
+from fnn_ekf_ros.core.lasting.members import (
+    ANTIPODE,
+    WITNESS,
+    WITNESS_OFFSET_STD,
+    WITNESSES,
+)
 
 USUAL_OFFSET_STD = 0.07
 """Standard deviation of the offset of a compass mounted with care [rad]: four degrees."""
@@ -51,6 +61,20 @@ TURNED_AFTER_S = 2.0
 """Time that it takes at least [s]: a magnet that the robot passes does not turn the compass."""
 KNOWN_STD = 0.3
 """Standard deviation of the offset below which it is known again after a surprise [rad]."""
+SWAPPED_AT = 4.0
+"""Log likelihood ratio of the fixes for the antipode against the witness from which on they change
+places [nats]: odds of 55 (sequential test, Wald 1945)."""
+KEPT_AT = -2.0
+"""Ratio from which on the witness is kept for good [nats]: odds of 7, and an offset of about pi is
+rare anyway."""
+LARGEST_GAIN = 1.0
+"""Largest contribution of a fix to it [nats]: no few fixes decide alone."""
+FITTING_NIS = 5.99
+"""NIS of x and y up to which a fix fits a filter: right noise exceeds it in 5 %. A fix that fits
+neither witness nor antipode does not tell which is right."""
+SUPPORT_NEEDED = 2.0
+"""Log likelihood ratio of the fixes since the surprise began, for the wheels against the compass,
+from which on the compass was turned [nats]: odds of 7."""
 _OFFSET = Component.YAW_OFFSET
 
 
@@ -63,6 +87,10 @@ class CompassOffset(NamedTuple):
         doubted: `(*batch)` whether the compass was turned and its offset is not known yet.
         surprise: `(2, *batch)` sums of normalized innovations to the left and to the right.
         surprised_s: `(*batch)` time for which one of them has been more than 0 [s].
+        support: `(*batch)` log likelihood ratio of the fixes meanwhile, for the wheels against the
+            compass [nats].
+        antipode: `(*batch)` log likelihood ratio of the fixes for the antipode against the witness,
+            until it is decided; then at most `KEPT_AT` [nats].
     """
 
     believed: BoolArray
@@ -70,19 +98,29 @@ class CompassOffset(NamedTuple):
     doubted: BoolArray
     surprise: FloatArray
     surprised_s: FloatArray
+    support: FloatArray
+    antipode: FloatArray
 
 
-def start_offset(batch: tuple[int, ...]) -> CompassOffset:
-    """Return the belief before the first reading."""
+def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> CompassOffset:
+    """Return the belief before the first reading.
+
+    Args:
+        batch: its shape.
+        from_readings: whether the yaw is that of a reading; a yaw that was given has no opposite.
+    """
     none, no = np.zeros(batch), np.zeros(batch, dtype=np.bool_)
     return CompassOffset(
-        believed=no, likely_s=none, doubted=no, surprise=np.zeros((2, *batch)), surprised_s=none
-    )
+        believed=no, likely_s=none, doubted=no, surprise=np.zeros((2, *batch)), surprised_s=none,
+        support=none,
+        antipode=none if from_readings else np.full(batch, KEPT_AT),
+    )  # fmt: skip
 
 
 def offset_of(bank: Bank) -> tuple[FloatArray, FloatArray]:
     """Return the witness's offset [rad] and its variance [rad^2], each `(*batch)`."""
-    return bank.mean[_OFFSET, WITNESS], bank.covariance[_OFFSET, _OFFSET, WITNESS]
+    offset = wrap_angle(bank.mean[_OFFSET, WITNESS])
+    return offset, bank.covariance[_OFFSET, _OFFSET, WITNESS]
 
 
 def log_odds(bank: Bank) -> FloatArray:
@@ -102,10 +140,63 @@ def later(offset: CompassOffset, duration_s: float) -> CompassOffset:
     return offset._replace(surprised_s=offset.surprised_s + duration_s)
 
 
+def opposite_of_witness(bank: Bank) -> Bank:
+    """Make the antipode the witness with the opposite yaw, in place, and return the filters."""
+    bank.mean[:, ANTIPODE] = bank.mean[:, WITNESS]
+    bank.covariance[:, :, ANTIPODE] = bank.covariance[:, :, WITNESS]
+    yaw, offset = bank.mean[Component.YAW, WITNESS], bank.mean[_OFFSET, WITNESS]
+    bank.mean[Component.YAW, ANTIPODE] = wrap_angle(yaw + math.pi)
+    bank.mean[_OFFSET, ANTIPODE] = wrap_angle(offset - math.pi)
+    return bank
+
+
+def after_fix(
+    offset: CompassOffset,
+    bank: Bank,
+    nis: FloatArray,
+    likelihood: FloatArray,
+    fixed: BoolArray,
+) -> tuple[CompassOffset, Bank]:
+    """Return the belief and the filters after a fix.
+
+    It takes the side of the wheels or of the compass, and of the witness or of its antipode until
+    it is decided which is right. If it is the antipode they change places.
+
+    Args:
+        offset: the belief before it.
+        bank: all filters after it; not changed.
+        nis: `(3, *batch)` NIS of its x and y for witness, antipode and advocate.
+        likelihood: `(3, *batch)` their log likelihood [nats].
+        fixed: `(*batch)` whether there is a fix.
+    """
+    witness, antipode, advocate = np.where(fixed, likelihood, 0.0)
+    offset = offset._replace(support=offset.support + witness - advocate)
+    asked = fixed & (offset.antipode > KEPT_AT) & (nis[:2].min(axis=0) < FITTING_NIS)
+    if not asked.any():
+        return offset, bank
+    gained = np.minimum(np.maximum(antipode - witness, -LARGEST_GAIN), LARGEST_GAIN)
+    lead = offset.antipode + np.where(asked, gained, 0.0)
+    swapped = lead >= SWAPPED_AT
+    offset = offset._replace(antipode=np.where(swapped, -lead, lead))
+    if not swapped.any():
+        return offset, bank
+    mean, covariance = bank.mean.copy(), bank.covariance.copy()
+    for array, axis in ((mean, 1), (covariance, 2)):
+        both = np.moveaxis(array, axis, 0)[WITNESSES]
+        both[...] = np.where(swapped, both[::-1], both)
+    offset = offset._replace(
+        likely_s=np.where(swapped, 0.0, offset.likely_s),
+        doubted=offset.doubted | (swapped & offset.believed),
+        believed=offset.believed & ~swapped,
+    )
+    return offset, Bank(mean, covariance)
+
+
 def after_compass(
     offset: CompassOffset,
     bank: Bank,
-    normalized: FloatArray,
+    innovation: FloatArray,
+    std: FloatArray,
     read: BoolArray,
     elapsed: float,
     fixes_last: FloatArray,
@@ -115,28 +206,39 @@ def after_compass(
     Args:
         offset: the belief before it.
         bank: all filters after it; not changed.
-        normalized: `(*batch)` innovation of the witness over its standard deviation.
+        innovation: `(*batch)` of the witness [rad].
+        std: `(*batch)` its standard deviation [rad].
         read: `(*batch)` whether there is a reading.
         elapsed: since the instant before [nominal periods]; more than 1 counts as 1.
         fixes_last: `(*batch)` weight of the members whose fix errors last.
     """
+    normalized = _to_both_sides(innovation) / std
     limited = np.minimum(np.maximum(normalized, -LARGEST_SURPRISE), LARGEST_SURPRISE)
-    gained = np.empty(offset.surprise.shape)
-    gained[0], gained[1] = limited, -limited
-    gained = min(elapsed, 1.0) * (gained - USUAL_SURPRISE)
+    gained = min(elapsed, 1.0) * (limited - USUAL_SURPRISE)
     surprise = np.where(read, np.maximum(offset.surprise + gained, 0.0), offset.surprise)
     largest = surprise.max(axis=0)
     surprised_s = np.where(largest > 0.0, offset.surprised_s, 0.0)
+    support = np.where(largest > 0.0, offset.support, 0.0)
+    offset = offset._replace(surprise=surprise, surprised_s=surprised_s, support=support)
     if not (largest > TURNED_AT).any():
-        return offset._replace(surprise=surprise, surprised_s=surprised_s), bank
+        return offset, bank
     needed = TURNED_AT / np.maximum(1.0 - fixes_last, SMALLEST_WEIGHT)
     turned = read & (largest > needed) & (surprised_s >= TURNED_AFTER_S)
+    turned &= support >= SUPPORT_NEEDED
     after = offset._replace(
-        surprise=np.where(turned, 0.0, surprise),
-        surprised_s=surprised_s,
-        doubted=offset.doubted | turned,
+        surprise=np.where(turned, 0.0, surprise), doubted=offset.doubted | turned
     )
     return after, _with_unknown_offset(bank, turned) if turned.any() else bank
+
+
+def _to_both_sides(innovation: FloatArray) -> FloatArray:
+    """Return how far innovations are to the left and to the right, `(2, *batch)` [rad].
+
+    From -pi/2 to 3 pi/2: what is off by about pi is far off to either side, whatever its sign.
+    """
+    quarter = 0.5 * math.pi
+    both = np.stack([innovation, -innovation])
+    return np.where(both < -quarter, both + math.tau, both)
 
 
 def _with_unknown_offset(bank: Bank, some: BoolArray) -> Bank:

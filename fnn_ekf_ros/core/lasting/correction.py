@@ -20,7 +20,7 @@ from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.bank import Bank, Coupling, Noise
 from fnn_ekf_ros.core.lasting.augmented import Component
 from fnn_ekf_ros.core.lasting.comparison import Comparison, Correcting
-from fnn_ekf_ros.core.lasting.members import COPIES, CORRECTED, FILTER_COUNT, WHITE, WITNESS
+from fnn_ekf_ros.core.lasting.members import COPIES, CORRECTED, FILTER_COUNT, WHITE, WITNESSES
 from fnn_ekf_ros.core.row_update import Terms, take_row
 from fnn_ekf_ros.core.rows import in_order
 
@@ -99,7 +99,8 @@ def correct_robustly(
 def _compass_noise(seen: Comparison) -> FloatArray:
     """Return R of the compass, `(F, *batch)`; the witness is not pulled by a compass that turns."""
     R = seen.compass_noise.copy()
-    R[WITNESS] *= np.maximum(seen.witness_surprise**2 / WITNESS_LIMIT, 1.0)
+    nis = seen.witness_innovation**2 / seen.witness_variance
+    R[WITNESSES] *= np.maximum(nis / WITNESS_LIMIT, 1.0)
     return R
 
 

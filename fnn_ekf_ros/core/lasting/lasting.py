@@ -34,8 +34,11 @@ from fnn_ekf_ros.core.lasting.comparison import Comparison, Correcting, compare
 from fnn_ekf_ros.core.lasting.compass_offset import (
     CompassOffset,
     after_compass,
+    after_fix,
+    is_likely,
     later,
     offset_of,
+    opposite_of_witness,
     reconsidered,
     start_offset,
 )
@@ -48,6 +51,7 @@ from fnn_ekf_ros.core.lasting.members import (
     LASTING_SHARE,
     MEMBER_COUNT,
     OF_MEMBERS,
+    OF_OFFSET,
     PHASES,
     PROCESS,
     SQUARED_FACTORS,
@@ -122,6 +126,15 @@ class LastingState(NamedTuple):
         return np.where(self.fixes_last > LASTING_SHARE, factor, 0.0) * self.fix_variance
 
     @property
+    def yaw_in_doubt(self) -> BoolArray:
+        """`(*batch)` whether an offset of the yaw is likely or was unknown again, and not believed.
+
+        No noise is learned meanwhile: filters whose yaw is off take it for noise of the fixes, and
+        the witness would then need many more of them.
+        """
+        return is_likely(self.offset, self.bank) | self.offset.doubted
+
+    @property
     def correcting(self) -> Correcting:
         """The offset that readings are taken without."""
         believed, fix_yaw = self.offset.believed, np.where(self.compass_seen, 0.0, 1.0)
@@ -169,12 +182,14 @@ def start_lasting(
     outages = start_outages(batch, log_weight)
     no = np.zeros(batch, dtype=np.bool_)
     state = LastingState(
-        bank=at_pose(pose, error_variances(fix_variance), from_readings=from_readings),
+        bank=opposite_of_witness(
+            at_pose(pose, error_variances(fix_variance), from_readings=from_readings)
+        ),
         fix_variance=fix_variance,
         outages=outages,
         weights=weights_of(outages.log_weight),
         outlier_share=np.zeros(batch),
-        offset=start_offset(batch),
+        offset=start_offset(batch, from_readings=from_readings),
         compass_seen=no,
         mean=pose.mean[:, 0],
         covariance=pose.covariance[:, :, 0],
@@ -210,7 +225,7 @@ def witness_pose(state: LastingState) -> tuple[FloatArray, FloatArray]:
 
 def _at_new_pose(state: LastingState, bank: Bank) -> LastingState:
     outages = start_outages(state.outlier_share.shape, state.outages.log_weight)
-    return _estimated(state._replace(outages=outages), bank)
+    return _estimated(state._replace(outages=outages), opposite_of_witness(bank))
 
 
 def predict_lasting(
@@ -283,15 +298,20 @@ def after_readings(
     fixed = accepted[Row.X]
     share = outlier_share_after(state.outlier_share, seen, fixed & moves)
     bank = correct_robustly(state.bank, seen, noise, accepted, moves, share)
-    outages = state.outages
+    outages, offset = state.outages, state.offset
+    if read[Row.X].any():
+        nis, determinant = seen.position_nis[OF_OFFSET], seen.position_determinant[OF_OFFSET]
+        likelihood = log_likelihood(nis, determinant, _POSITION_ROWS)
+        offset, bank = after_fix(offset, bank, nis, likelihood, read[Row.X] & moves)
     if fixed.any():
         nis, determinant = seen.position_nis[COPIES], seen.position_determinant[COPIES]
         likelihood = log_likelihood(nis, determinant, _POSITION_ROWS)
         outages = scored(outages, likelihood.reshape(*_CYCLES, *fixed.shape), fixed)
     offset, bank = after_compass(
-        state.offset,
+        offset,
         bank,
-        seen.witness_surprise,
+        seen.witness_innovation[0],
+        np.sqrt(seen.witness_variance[0]),
         read[Row.COMPASS_YAW] & moves,
         duration_s / NOMINAL_PERIOD_S,
         state.fixes_last,

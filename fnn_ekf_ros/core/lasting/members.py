@@ -66,10 +66,23 @@ WITNESS_FIX_FACTOR = 3.0
 WITNESS_OFFSET_STD = 1.5
 """Prior standard deviation of the offset of the witness [rad]: any mounting angle is possible."""
 
+ANTIPODE = WITNESS + 1
+"""Index of the witness's antipode: a witness that begins with the opposite yaw. Where the offset is
+about pi a fix does not say to which side the witness is wrong; this one is right then."""
+WITNESSES = slice(WITNESS, ANTIPODE + 1)
+"""The witness and its antipode, which take the compass as it comes."""
+ADVOCATE = ANTIPODE + 1
+"""Index of the compass's advocate, which takes the wheels for wrong where they contradict it."""
+ADVOCATE_PROCESS = 25.0
+"""Factor on the variances of the wheels' noise for the advocate: five standard deviations, as for a
+suspect."""
+
 OF_MEMBERS = slice(0, MEMBER_COUNT)
 """The members among the filters."""
-CORRECTED = slice(0, MEMBER_COUNT + 1)
-"""The filters that fixes correct: members and witness."""
+OF_OFFSET = slice(WITNESS, ADVOCATE + 1)
+"""The filters that tell the compass's offset: witness, antipode and advocate."""
+CORRECTED = slice(0, OF_OFFSET.stop)
+"""The filters that fixes correct: members, witnesses and advocate."""
 _CYCLES = len(HORIZONS_S) * PHASES
 COPIES = slice(CORRECTED.stop, CORRECTED.stop + _CYCLES * MEMBER_COUNT)
 """The copies in outages, by horizon, phase and member."""
@@ -77,15 +90,20 @@ FILTER_COUNT = COPIES.stop
 """Number of all filters."""
 
 
-def _of_all(of_members: list[float], of_witness: float) -> FloatArray:
-    return np.array([*of_members, of_witness, *_CYCLES * of_members])
+def _of_all(of_members: list[float], of_witness: float, of_advocate: float) -> FloatArray:
+    return np.array([*of_members, of_witness, of_witness, of_advocate, *_CYCLES * of_members])
 
 
-_FACTORS = _of_all([member.fix_factor for member in MEMBERS], WITNESS_FIX_FACTOR)
-_YAW_STDS = _of_all([member.yaw_std for member in MEMBERS], YAW_ERROR_STD)
-_OFFSET_STDS = _of_all([member.yaw_std for member in MEMBERS], WITNESS_OFFSET_STD)
-_ROTATIONS = _of_all([ROTATION_FACTOR if m.yaw_std > 0.0 else 1.0 for m in MEMBERS], 1.0)
-PROCESS = Constant(np.stack([np.ones(FILTER_COUNT), _ROTATIONS**2]))
+_FACTORS = _of_all(
+    [member.fix_factor for member in MEMBERS], WITNESS_FIX_FACTOR, WITNESS_FIX_FACTOR
+)
+_YAW_STDS = _of_all([member.yaw_std for member in MEMBERS], YAW_ERROR_STD, YAW_ERROR_STD)
+_OFFSET_STDS = _of_all([member.yaw_std for member in MEMBERS], WITNESS_OFFSET_STD, 0.0)
+_ONES = [1.0] * MEMBER_COUNT
+_ROTATIONS = [ROTATION_FACTOR**2 if m.yaw_std > 0.0 else 1.0 for m in MEMBERS]
+PROCESS = Constant(
+    np.stack([_of_all(_ONES, 1.0, ADVOCATE_PROCESS), _of_all(_ROTATIONS, 1.0, ADVOCATE_PROCESS)])
+)
 """Factors of the filters on Q of distance and rotation, `(2, F)`."""
 _VARIANCES = Constant(np.stack([_FACTORS, _FACTORS, _YAW_STDS, _OFFSET_STDS]) ** 2)
 _PRIOR_OF_FACTORS = _PRIOR_PER_FACTOR ** np.arange(len(FIX_FACTORS))

@@ -14,26 +14,40 @@ from fnn_ekf_ros.core.lasting.augmented import AUGMENTED_SIZE, Component
 from fnn_ekf_ros.core.lasting.compass_offset import (
     BELIEVED_AFTER_S,
     BELIEVED_AT,
+    FITTING_NIS,
     GIVEN_UP_AT,
+    KEPT_AT,
     KNOWN_STD,
+    LARGEST_GAIN,
     LARGEST_SURPRISE,
     SMALLEST_WEIGHT,
+    SUPPORT_NEEDED,
+    SWAPPED_AT,
     TURNED_AFTER_S,
     TURNED_AT,
     USUAL_OFFSET_STD,
     USUAL_SURPRISE,
     CompassOffset,
     after_compass,
+    after_fix,
     later,
     log_odds,
     offset_of,
+    opposite_of_witness,
     reconsidered,
     start_offset,
 )
-from fnn_ekf_ros.core.lasting.members import FILTER_COUNT, WITNESS, WITNESS_OFFSET_STD
+from fnn_ekf_ros.core.lasting.members import (
+    ANTIPODE,
+    FILTER_COUNT,
+    WITNESS,
+    WITNESS_OFFSET_STD,
+)
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 
 DT = 0.5
+STD = 0.01
+"""Standard deviation of the witness's innovation [rad]: 50 of them are less than pi / 2."""
 OFFSET = Component.YAW_OFFSET
 
 
@@ -106,12 +120,17 @@ def surprised(
     apart_s: float,
     start: CompassOffset | None = None,
     fixes_last: float = 0.0,
+    support: float = SUPPORT_NEEDED,
 ) -> CompassOffset:
-    """Return the belief of one robot after innovations of the witness, in standard deviations."""
+    """Return the belief of one robot after innovations of the witness, in standard deviations.
+
+    The fixes' log likelihood ratio for the wheels is `support` at each of them.
+    """
     offset, bank = start or start_offset((1,)), witness(0.0, 0.05)
     for each in normalized:
+        offset = later(offset._replace(support=np.array([support])), apart_s)
         offset, _ = after_compass(
-            later(offset, apart_s), bank, np.array([each]), np.array([True]),
+            offset, bank, np.array([each * STD]), np.array([STD]), np.array([True]),
             apart_s / NOMINAL_PERIOD_S, np.array([fixes_last]),
         )  # fmt: skip
     return offset
@@ -151,14 +170,101 @@ def test_fixes_whose_errors_last_are_poor_evidence_against_the_compass() -> None
         assert not surprised([9.0] * (count - 1), TURNED_AFTER_S, fixes_last=fixes_last).doubted
 
 
+def test_compass_is_not_turned_where_the_fixes_take_its_side() -> None:
+    """As where a wheel is stuck: they have to speak for the wheels since the surprise began."""
+    far = [10.0] * 20
+    assert not surprised(far, TURNED_AFTER_S, support=0.9 * SUPPORT_NEEDED).doubted
+    assert surprised(far, TURNED_AFTER_S).doubted
+    assert surprised([0.0], TURNED_AFTER_S, support=9.0).support == 0.0
+    assert surprised([3.0], TURNED_AFTER_S, support=9.0).support == 9.0
+
+
+def test_readings_off_by_about_pi_are_off_to_either_side() -> None:
+    """Noise takes them across pi, where their sign changes."""
+    near_pi = (math.pi - 0.05) / STD
+    found = surprised([near_pi, -near_pi, near_pi], NOMINAL_PERIOD_S).surprise
+    np.testing.assert_allclose(found, 3.0 * (LARGEST_SURPRISE - USUAL_SURPRISE))
+
+
+def with_fixes(
+    ratios: Sequence[tuple[float, float]], start: CompassOffset, bank: Bank, nis: float = 1.0
+) -> tuple[CompassOffset, Bank]:
+    """Return both after fixes, by their log ratios of antipode and advocate to the witness."""
+    for antipode, advocate in ratios:
+        likelihood = np.array([[-1.0], [antipode - 1.0], [advocate - 1.0]])
+        start, bank = after_fix(start, bank, np.full((3, 1), nis), likelihood, np.array([True]))
+    return start, bank
+
+
+def test_support_of_the_wheels_is_the_sum_of_the_fixes_ratios() -> None:
+    bank = witness(0.0, 0.1)
+    found, after = with_fixes([(0.0, -0.5), (0.0, 2.0)], start_offset((1,)), bank)
+    assert found.support == pytest.approx(0.5 - 2.0)
+    assert after is bank
+    likelihood = np.array([[9.0], [0.0], [0.0]])
+    no_fix, _ = after_fix(found, bank, np.ones((3, 1)), likelihood, np.array([False]))
+    assert no_fix.support == found.support
+
+
+def test_witness_and_antipode_change_places_when_the_fixes_say_so() -> None:
+    """A belief in the witness's offset ends with it, and the compass is doubted."""
+    bank = opposite_of_witness(witness(0.4, 0.1))
+    start = start_offset((1,))._replace(likely_s=np.array([3.0]))
+    steps = round(SWAPPED_AT / LARGEST_GAIN)
+    found, after = with_fixes([(9.0, 0.0)] * (steps - 1), start, bank)
+    assert (found.antipode, found.likely_s) == ((steps - 1) * LARGEST_GAIN, 3.0)
+    assert after is bank
+    for believed in (False, True):
+        start = found._replace(believed=np.array([believed]))
+        swapped, after = with_fixes([(9.0, 0.0)], start, bank)
+        assert swapped.antipode == -SWAPPED_AT
+        assert (bool(swapped.believed), bool(swapped.doubted)) == (False, believed)
+        assert swapped.likely_s == 0.0
+        for one, other in ((WITNESS, ANTIPODE), (ANTIPODE, WITNESS)):
+            np.testing.assert_array_equal(after.mean[:, one], bank.mean[:, other])
+            np.testing.assert_array_equal(after.covariance[:, :, one], bank.covariance[:, :, other])
+        again, same = with_fixes([(9.0, 0.0)] * 20, swapped, after)
+        assert again.antipode == swapped.antipode
+        assert same is after
+
+
+def test_what_is_decided_for_the_witness_stays() -> None:
+    bank = witness(0.0, 0.1)
+    steps = round(-KEPT_AT / LARGEST_GAIN)
+    found, _ = with_fixes([(-9.0, 0.0)] * steps + [(9.0, 0.0)] * 50, start_offset((1,)), bank)
+    assert found.antipode == KEPT_AT
+    given, after = with_fixes(
+        [(9.0, 0.0)] * 50, start_offset((1,), from_readings=False), bank
+    )  # a yaw that was given
+    assert given.antipode == KEPT_AT
+    assert after is bank
+
+
+def test_fixes_that_fit_neither_do_not_decide() -> None:
+    """As where the assumed noise is too small by far."""
+    bank = witness(0.0, 0.1)
+    found, after = with_fixes([(9.0, 0.0)] * 50, start_offset((1,)), bank, nis=1.1 * FITTING_NIS)
+    assert not found.antipode.any()
+    assert after is bank
+
+
+def test_antipode_has_the_opposite_yaw_and_expects_the_same_of_the_compass() -> None:
+    bank = opposite_of_witness(witness(0.4, 0.1))
+    yaw, offset = bank.mean[[Component.YAW, OFFSET]][:, [WITNESS, ANTIPODE], 0]
+    assert abs(yaw[1] - yaw[0]) == pytest.approx(math.pi)
+    assert (yaw + offset)[1] == pytest.approx((yaw + offset)[0])
+    np.testing.assert_array_equal(bank.covariance[:, :, ANTIPODE], bank.covariance[:, :, WITNESS])
+
+
 def test_right_noise_does_not_turn_the_compass() -> None:
     """A day of readings, 400 robots for 225 s each, with the prior weight of lasting fix errors."""
     rng = np.random.default_rng(50)
     offset, bank, read = start_offset((400,)), witness(0.0, 0.05, 400), np.ones(400, dtype=np.bool_)
-    usual = np.full(400, 0.13)
+    usual, supported, std = (np.full(400, each) for each in (0.13, SUPPORT_NEEDED, STD))
     for _ in range(600):
         noise = rng.standard_normal(400)
-        offset, _ = after_compass(later(offset, NOMINAL_PERIOD_S), bank, noise, read, 1.0, usual)
+        offset = later(offset._replace(support=supported), NOMINAL_PERIOD_S)
+        offset, _ = after_compass(offset, bank, STD * noise, std, read, 1.0, usual)
     assert not offset.doubted.any()
 
 
@@ -167,11 +273,11 @@ def test_time_without_a_reading_turns_no_compass() -> None:
     offset = surprised([10.0] * 2, 0.1 * TURNED_AFTER_S)
     large = np.array([[2.0 * TURNED_AT], [0.0]])
     offset = later(offset._replace(surprise=large), 2.0 * TURNED_AFTER_S)
-    bank, none = witness(0.0, 0.05), np.zeros(1)
-    after, found = after_compass(offset, bank, none, np.array([False]), 1.0, none)
+    bank, none, std = witness(0.0, 0.05), np.zeros(1), np.array([STD])
+    after, found = after_compass(offset, bank, none, std, np.array([False]), 1.0, none)
     assert not after.doubted
     assert found is bank
-    after, _ = after_compass(offset, bank, np.array([9.0]), np.array([True]), 1.0, none)
+    after, _ = after_compass(offset, bank, 9.0 * std, std, np.array([True]), 1.0, none)
     assert after.doubted
 
 
@@ -179,7 +285,7 @@ def test_readings_that_fit_end_the_surprise_and_missing_ones_do_not() -> None:
     bank, half, none = witness(0.0, 0.05), [10.0] * 3, np.zeros(1)
     before = surprised(half, TURNED_AFTER_S)
     assert not before.doubted
-    after, _ = after_compass(before, bank, none, np.array([False]), 1.0, none)
+    after, _ = after_compass(before, bank, none, np.array([STD]), np.array([False]), 1.0, none)
     assert surprised(half, TURNED_AFTER_S, after).doubted
     ended = surprised([0.0] * 20, TURNED_AFTER_S, before)
     assert not ended.surprise.any()
@@ -193,8 +299,8 @@ def test_offset_of_a_turned_compass_is_unknown_again() -> None:
     offset = CompassOffset(*(np.repeat(array, 2, axis=-1) for array in offset))
     bank = witness(0.4, 0.05, robots=2)
     after, found = after_compass(
-        later(offset, TURNED_AFTER_S), bank, np.array([10.0, 0.0]), np.array([True, True]), 1.0,
-        np.zeros(2),
+        later(offset, TURNED_AFTER_S), bank, np.array([10.0 * STD, 0.0]), np.full(2, STD),
+        np.array([True, True]), 1.0, np.zeros(2),
     )  # fmt: skip
     assert after.doubted.tolist() == [True, False]
     assert not after.surprise[:, 0].any()
