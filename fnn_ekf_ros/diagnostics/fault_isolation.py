@@ -33,8 +33,9 @@ CLEARED_LEAD = 3.0
 """Lead under which a suspect does not explain another sensor's symptoms [nats]: right sensors
 seldom have more."""
 LEARNING_NS = 30 * 10**9
-"""Time from the start of a filter that learns its noise until a sensor is suspected [ns]: before,
-the assumed noise may be what is wrong, by 25 in variance and of several sensors."""
+"""Time from the start of a filter that learns its noise until leads, scatter or wheel sizes name a
+sensor [ns]: before, the assumed noise may be what is wrong, by 25 in variance and of several
+sensors."""
 AGREEING = 2
 """Rejected fixes that agree with each other and the wheels from which on the fixes seem to have
 jumped; the wheels are not named until that is decided."""
@@ -124,18 +125,22 @@ def _mean_and_band(readings: Readings, which: slice) -> tuple[float, Band]:
     return sum(readings.nis[which]) / rows, Band(low / rows, high / rows)
 
 
-def isolate_fault(recent: RecentPeriods, wheel_separation: float) -> FaultIsolation:
+def isolate_fault(
+    recent: RecentPeriods, wheel_separation: float, *, learning: bool = False
+) -> FaultIsolation:
     """Return the sensor that does not fit the others, by leads, wheel sizes and symptoms.
 
     Args:
         recent: the last periods.
         wheel_separation: distance between the wheels [m].
+        learning: whether the noise is still being learned for the first time; then only readings
+            that are rejected again and again name a sensor.
     """
     leads = recent.leads[-1].leads
-    if max(leads) >= SUSPECTED_LEAD:
+    if max(leads) >= SUSPECTED_LEAD and not learning:
         return _by_leads(recent)
     suspected = {sensor for sensor, lead in _by_sensor(leads) if lead >= CLEARED_LEAD}
-    if suspected <= {Sensor.ENCODERS}:
+    if suspected <= {Sensor.ENCODERS} and not learning:
         sizes = estimate_sizes(recent.corrections, wheel_separation)
         if sizes is not None and sizes.wrong:
             return FaultIsolation(
@@ -147,7 +152,7 @@ def isolate_fault(recent: RecentPeriods, wheel_separation: float) -> FaultIsolat
             (Sensor.COMPASS, recent.readings.compass),
             (Sensor.LRF_POSE, recent.readings.lrf_pose),
         )
-        if symptoms_of(readings).abnormal
+        if _is_abnormal(symptoms_of(readings), learning=learning)
     }
     if not abnormal:
         return NO_FAULT._replace(leads=leads)
@@ -155,6 +160,10 @@ def isolate_fault(recent: RecentPeriods, wheel_separation: float) -> FaultIsolat
     return FaultIsolation(
         named=suspects[0] if len(suspects) == 1 else None, suspects=suspects, leads=leads
     )
+
+
+def _is_abnormal(symptoms: Symptoms, *, learning: bool) -> bool:
+    return symptoms.rejected >= MANY_REJECTIONS if learning else symptoms.abnormal
 
 
 def with_doubtful_yaw(found: FaultIsolation, sensor: Sensor, *, turned: bool) -> FaultIsolation:

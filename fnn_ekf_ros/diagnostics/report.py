@@ -287,9 +287,8 @@ class DiagnosticsReport:
         if encoders.level is not Level.OK:
             self._explained_by[Sensor.ENCODERS] = now_ns
         self._explained_by |= dict.fromkeys(frozen, now_ns)
-        found = isolate_fault(recent, self._parameters.wheel_separation)
-        if mode is AdaptationMode.JOINT and now_ns - recent.start_ns < LEARNING_NS:
-            found = NO_FAULT._replace(leads=found.leads)
+        learning = mode is AdaptationMode.JOINT and now_ns - recent.start_ns < LEARNING_NS
+        found = isolate_fault(recent, self._parameters.wheel_separation, learning=learning)
         doubtful = None if lasting is None else doubtful_yaw(lasting)
         explained = {
             sensor

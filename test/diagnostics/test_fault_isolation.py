@@ -155,6 +155,15 @@ def test_wheels_are_not_named_for_fixes_that_seem_to_have_jumped() -> None:
     assert found.suspects == (Sensor.ENCODERS, Sensor.LRF_POSE)
 
 
+def test_only_rejections_name_a_sensor_while_the_noise_is_learned_first() -> None:
+    for recent in (periods((30.0, 0.0, 0.0)), periods(compass=WIDE)):
+        assert isolated(recent).named is not None
+        found = isolate_fault(recent, 0.5, learning=True)
+        assert found == NO_FAULT._replace(leads=recent.leads[-1].leads)
+    rejected = periods(lrf_pose=rejecting(MANY_REJECTIONS))
+    assert isolate_fault(rejected, 0.5, learning=True).named is Sensor.LRF_POSE
+
+
 def status_of(sensor: Sensor, readings: Readings, found: FaultIsolation) -> Status:
     return measuring_status(FINE._replace(name=sensor), None, None, symptoms_of(readings), found)
 
