@@ -34,10 +34,12 @@ from fnn_ekf_ros.parameters.faults import (
     Duplicates,
     Fault,
     Frozen,
+    Misplaced,
     Noise,
     NotANumber,
     Outliers,
     Reordered,
+    Wander,
     WrongFrame,
     WrongStamp,
     WrongUnit,
@@ -45,6 +47,7 @@ from fnn_ekf_ros.parameters.faults import (
 )
 from fnn_ekf_ros.parameters.schema import ParameterError
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
+from fnn_ekf_ros.simulation.robot import STEP_S
 
 # What is measured.
 
@@ -97,6 +100,45 @@ def test_noise_is_the_same_noise_times_the_factor(topic: str) -> None:
         name = "orientation_covariance" if topic == "compass" else "covariance"
         assert said[name][-1] == pytest.approx(0.018, rel=0.01)  # the sensor does not know
     np.testing.assert_allclose(errors[1], 2.5 * errors[0], atol=1e-9)
+
+
+def test_misplaced_fixes_have_their_share_and_lie_about_their_place() -> None:
+    count, place = 4000, np.array([3.0, -2.0])
+    fault = Misplaced(start=0.0, topic="lrf_pose", place=tuple(place), spread=0.1, rate=0.25)
+    one, heard = through(fault, count)
+    true = pose(one)
+    away = np.array([pose(each) for each in heard]) - true
+    hit = np.any(away != 0.0, axis=1)
+    assert abs(np.sum(hit) - 0.25 * count) < 6.0 * math.sqrt(count * 0.25 * 0.75)
+    apart = (away + true)[hit, :2] - place
+    np.testing.assert_allclose(apart.mean(axis=0), 0.0, atol=6.0 * 0.1 / math.sqrt(np.sum(hit)))
+    np.testing.assert_allclose(apart.std(axis=0), 0.1, rtol=6.0 / math.sqrt(2.0 * np.sum(hit)))
+    np.testing.assert_array_equal(away[:, 2], 0.0)
+
+
+def test_bias_with_a_rate_is_that_of_one_of_two_sources() -> None:
+    count = 4000
+    one, heard = through(Bias(start=0.0, topic="lrf_pose", size=(0.5, 0.0, 0.0), rate=0.5), count)
+    change = off(heard, [one] * count)[:, 0]
+    np.testing.assert_allclose(np.unique(np.round(change, 9)), [0.0, 0.5])
+    assert abs(np.mean(change) - 0.25) < 6.0 * 0.25 / math.sqrt(count)
+
+
+def test_error_that_wanders_has_its_size_and_time_constant() -> None:
+    """Gauss-Markov: var = std^2 in the long run, correlation exp(-t / tau); it begins at 0."""
+    tau, step_s = 0.1, STEP_S
+    count = 12000
+    fault = Wander(start=0.0, topic="lrf_pose", std=2.0, time_constant=tau)
+    one, heard = through(fault, count)
+    error = off(heard, [one] * count)
+    assert np.all(np.abs(error[0, :2]) < 6.0 * 2.0 * math.sqrt(2.0 * step_s / tau))
+    independent = count * step_s / (2.0 * tau)
+    np.testing.assert_allclose(error[:, :2].std(axis=0), 2.0, rtol=6.0 / math.sqrt(2 * independent))
+    lag = round(tau / step_s)
+    for e in error[:, :2].T:
+        correlation = np.mean(e[:-lag] * e[lag:]) / np.mean(e * e)
+        assert abs(correlation - math.exp(-1.0)) < 6.0 / math.sqrt(independent)
+    np.testing.assert_array_equal(error[:, 2], 0.0)
 
 
 @pytest.mark.parametrize("topic", ["lrf_pose", "compass", "joint_states", "left_ticks"])

@@ -17,6 +17,8 @@ from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.state import FilterModel, FilterState, start_filter
 
 START_COVARIANCE = np.diag([0.01, 0.01, 0.018])
+WHEEL_SEPARATION = 0.6
+"""Distance between the wheels of a robot with a stuck one [m]."""
 FIX_AND_COMPASS = np.array([True, True, True, False])
 
 
@@ -29,6 +31,7 @@ class Errors(NamedTuple):
         offset: of the compass [rad].
         turned: by which the compass is turned [rad].
         turned_at: the step before which it is.
+        stuck_at: the step from which on the left wheel's counter stands still; 0: it does not.
     """
 
     fix_std: float = 0.0
@@ -36,6 +39,7 @@ class Errors(NamedTuple):
     offset: float = 0.0
     turned: float = 0.0
     turned_at: int = 0
+    stuck_at: int = 0
 
 
 class Track(NamedTuple):
@@ -66,6 +70,9 @@ def lasting_drive(
         z = truth[[0, 1, 2, 2]] + np.sqrt(TRUE_R)[:, None] * rng.standard_normal((4, robots))
         z[:2] += b
         z[2] += offset
+        if errors.stuck_at and i >= errors.stuck_at:
+            right = control[0] + 0.5 * WHEEL_SEPARATION * control[1]
+            control = np.stack([0.5 * right, right / WHEEL_SEPARATION])
         found.append((Epoch(control, NOMINAL_PERIOD_S, z, rows), truth))
     return found
 

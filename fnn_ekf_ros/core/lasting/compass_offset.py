@@ -14,8 +14,8 @@ filters see z - b_0 with the variance R + P_b0. A compass that is turned while t
 surprises the witness: the sum of its normalized innovations to one side, each less .7 (CUSUM, Page
 1954), rises. Slipping wheels or a stuck one surprise it as well; the fixes tell them apart. The
 advocate of the compass, a filter that takes the wheels for wrong, follows the compass. While the
-sum is not 0 the fixes' log likelihood ratio of witness to advocate is added up. From 9 and a ratio
-of 2 on the compass was turned: its offset is unknown again, and the other filters do without the
+sum is not 0 the fixes' log likelihood ratio of witness to advocate is added up. From 9 on, and
+unless the fixes take its side, the compass was turned: its offset is unknown again, and the other filters do without the
 compass until the witness knows it.
 """
 
@@ -72,9 +72,10 @@ LARGEST_GAIN = 1.0
 FITTING_NIS = 5.99
 """NIS of x and y up to which a fix fits a filter: right noise exceeds it in 5 %. A fix that fits
 neither witness nor antipode does not tell which is right."""
-SUPPORT_NEEDED = 2.0
+SUPPORT_NEEDED = 0.0
 """Log likelihood ratio of the fixes since the surprise began, for the wheels against the compass,
-from which on the compass was turned [nats]: odds of 7."""
+from which on the compass was turned [nats]: they do not take its side. Soon the filters take a
+turned compass for slip and follow it; from then on fixes hardly tell."""
 _OFFSET = Component.YAW_OFFSET
 
 

@@ -20,7 +20,14 @@ from fnn_ekf_ros.core.arrays import STATE_SIZE, BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.bank import Bank, Coupling, Noise
 from fnn_ekf_ros.core.lasting.augmented import Component
 from fnn_ekf_ros.core.lasting.comparison import Comparison, Correcting
-from fnn_ekf_ros.core.lasting.members import COPIES, CORRECTED, FILTER_COUNT, WHITE, WITNESSES
+from fnn_ekf_ros.core.lasting.members import (
+    ADVOCATE,
+    COPIES,
+    CORRECTED,
+    FILTER_COUNT,
+    WHITE,
+    WITNESSES,
+)
 from fnn_ekf_ros.core.row_update import Terms, take_row
 from fnn_ekf_ros.core.rows import in_order
 
@@ -52,6 +59,7 @@ def correct_robustly(
     rows: BoolArray,
     moves: BoolArray,
     outlier_share: FloatArray,
+    rejected_yaw: BoolArray | None = None,
 ) -> Bank:
     """Return the filters corrected by the readings; copies are corrected by yaws alone.
 
@@ -62,6 +70,8 @@ def correct_robustly(
         rows: `(4, *batch)` rows that they are corrected by.
         moves: `(*batch)` whether the wheels move.
         outlier_share: `(*batch)` share of outliers among the fixes.
+        rejected_yaw: `(*batch)` whether the gate rejects the compass; its advocate follows it
+            nevertheless. None: it rejects none.
     """
     correcting = seen.correcting
     r, R, coupling = seen.innovation, noise.measurement, noise.coupling
@@ -91,6 +101,10 @@ def correct_robustly(
             if coupling is not None:
                 terms, e, left = _coupled(row, terms, r[:, which], coupling)
             take_row(x[:, which], covariance[:, :, which], terms, e, left * (R[row] + wider), some)
+    if rejected_yaw is not None and rejected_yaw.any():
+        which, row = slice(ADVOCATE, ADVOCATE + 1), Row.COMPASS_YAW
+        d = seen.compass_noise[which]
+        take_row(x[:, which], covariance[:, :, which], yaw_terms, r[row, which], d, rejected_yaw)
     mean += x
     mean[Component.YAW] = wrap_angle(mean[Component.YAW])
     return Bank(mean, covariance)

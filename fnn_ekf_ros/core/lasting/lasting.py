@@ -297,7 +297,8 @@ def after_readings(
     """
     fixed = accepted[Row.X]
     share = outlier_share_after(state.outlier_share, seen, fixed & moves)
-    bank = correct_robustly(state.bank, seen, noise, accepted, moves, share)
+    rejected_yaw = (read & ~accepted)[Row.COMPASS_YAW]
+    bank = correct_robustly(state.bank, seen, noise, accepted, moves, share, rejected_yaw)
     outages, offset = state.outages, state.offset
     if read[Row.X].any():
         nis, determinant = seen.position_nis[OF_OFFSET], seen.position_determinant[OF_OFFSET]

@@ -8,8 +8,9 @@ yaws have one of `yaw_std`. Which assumption holds cannot be told from one predi
 fix error that lasts looks like an error of the wheels. Simulated outages tell (`outages`): copies
 of each member are not corrected by fixes for some time, and are scored by the fixes after it.
 
-The filters, in this order: the members, the witness of the compass (`compass_offset`), and for each
-horizon and phase of the outages the copies of all members.
+The filters, in this order: the members, the witness of the compass, its antipode and the compass's
+advocate (`compass_offset`), and for each horizon and phase of the outages the copies of
+all members.
 """
 
 from typing import NamedTuple
@@ -73,9 +74,9 @@ WITNESSES = slice(WITNESS, ANTIPODE + 1)
 """The witness and its antipode, which take the compass as it comes."""
 ADVOCATE = ANTIPODE + 1
 """Index of the compass's advocate, which takes the wheels for wrong where they contradict it."""
-ADVOCATE_PROCESS = 25.0
-"""Factor on the variances of the wheels' noise for the advocate: five standard deviations, as for a
-suspect."""
+ADVOCATE_ROTATION = 25.0
+"""Factor on the variance of the wheels' rotation for the advocate: five standard deviations, as for
+a suspect. Its distance has no more noise, or fixes would not tell where its yaw is wrong."""
 
 OF_MEMBERS = slice(0, MEMBER_COUNT)
 """The members among the filters."""
@@ -99,11 +100,8 @@ _FACTORS = _of_all(
 )
 _YAW_STDS = _of_all([member.yaw_std for member in MEMBERS], YAW_ERROR_STD, YAW_ERROR_STD)
 _OFFSET_STDS = _of_all([member.yaw_std for member in MEMBERS], WITNESS_OFFSET_STD, 0.0)
-_ONES = [1.0] * MEMBER_COUNT
 _ROTATIONS = [ROTATION_FACTOR**2 if m.yaw_std > 0.0 else 1.0 for m in MEMBERS]
-PROCESS = Constant(
-    np.stack([_of_all(_ONES, 1.0, ADVOCATE_PROCESS), _of_all(_ROTATIONS, 1.0, ADVOCATE_PROCESS)])
-)
+PROCESS = Constant(np.stack([np.ones(FILTER_COUNT), _of_all(_ROTATIONS, 1.0, ADVOCATE_ROTATION)]))
 """Factors of the filters on Q of distance and rotation, `(2, F)`."""
 _VARIANCES = Constant(np.stack([_FACTORS, _FACTORS, _YAW_STDS, _OFFSET_STDS]) ** 2)
 _PRIOR_OF_FACTORS = _PRIOR_PER_FACTOR ** np.arange(len(FIX_FACTORS))

@@ -173,7 +173,7 @@ def test_fixes_whose_errors_last_are_poor_evidence_against_the_compass() -> None
 def test_compass_is_not_turned_where_the_fixes_take_its_side() -> None:
     """As where a wheel is stuck: they have to speak for the wheels since the surprise began."""
     far = [10.0] * 20
-    assert not surprised(far, TURNED_AFTER_S, support=0.9 * SUPPORT_NEEDED).doubted
+    assert not surprised(far, TURNED_AFTER_S, support=SUPPORT_NEEDED - 0.1).doubted
     assert surprised(far, TURNED_AFTER_S).doubted
     assert surprised([0.0], TURNED_AFTER_S, support=9.0).support == 0.0
     assert surprised([3.0], TURNED_AFTER_S, support=9.0).support == 9.0

@@ -92,6 +92,27 @@ def test_compass_that_is_off_from_the_first_reading_is_found(
     assert found.nees[late].mean() < 4.0
 
 
+@pytest.mark.parametrize("offset", [np.pi, -2.5, 1.6])
+def test_large_offset_from_the_first_reading_is_found_within_30_s(
+    joint: FilterModel, offset: float
+) -> None:
+    """Whatever its size: about pi a fix does not say to which side the yaw is wrong."""
+    drive = lasting_drive(7, 6, 80, Errors(offset=offset))
+    state = tracked(joint, drive, offset).states[-1]
+    assert state.lasting is not None
+    assert np.all(state.lasting.offset.believed)
+    found, _ = offset_of(state.lasting.bank)
+    np.testing.assert_allclose(np.cos(found - offset), 1.0, atol=0.1)
+
+
+def test_stuck_wheel_turns_no_compass(joint: FilterModel) -> None:
+    """The fixes take the compass's side, not the wheels'."""
+    drive = lasting_drive(7, 6, 280, Errors(stuck_at=200))
+    for state in tracked(joint, drive).states:
+        assert state.lasting is not None
+        assert not state.lasting.offset.doubted.any()
+
+
 def test_compass_that_is_turned_while_driving_is_found(joint: FilterModel) -> None:
     """The pose stays the truth's all the time."""
     drive = lasting_drive(7, 6, 560, Errors(turned=1.6, turned_at=300))
