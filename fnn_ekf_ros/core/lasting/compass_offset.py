@@ -15,8 +15,8 @@ surprises the witness: the sum of its normalized innovations to one side, each l
 1954), rises. Slipping wheels or a stuck one surprise it as well; the fixes tell them apart. The
 advocate of the compass, a filter that takes the wheels for wrong, follows the compass. While the
 sum is not 0 the fixes' log likelihood ratio of witness to advocate is added up. From 9 on, and
-unless the fixes take its side, the compass was turned: its offset is unknown again, and the other filters do without the
-compass until the witness knows it.
+unless the fixes take its side, the compass was turned: its offset is unknown again, and the other
+filters do without the compass until the witness knows it.
 """
 
 import math
