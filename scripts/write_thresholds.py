@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from documents import ROOT, read
 
-from fnn_ekf_ros.core import frozen, joint, relocation, suspects
+from fnn_ekf_ros.core import frozen, joint, relocation, sensor_lag, suspects
 from fnn_ekf_ros.core.lasting import compass_offset, members
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.diagnostics import (
@@ -96,7 +96,7 @@ THRESHOLDS = (
               "nats"),
     Threshold("rejected fixes that agree, for the wheels not to be named yet",
               fault_isolation.AGREEING),
-    Threshold("time for which a fault of the wheels or a frozen sensor explains the rest",
+    Threshold("time for which a wheel's fault, a frozen sensor or late stamps explain the rest",
               S * report.EXPLAINED_NS, "s"),
     Threshold("`joint`: time from the start until suspicion, scatter or wheel sizes name a sensor",
               S * fault_isolation.LEARNING_NS, "s"),
@@ -114,6 +114,15 @@ THRESHOLDS = (
     Threshold("turned compass: time over which it comes about", compass_offset.TURNED_AFTER_S, "s"),
     Threshold("turned compass: log likelihood ratio of the fixes for the wheels meanwhile",
               compass_offset.SUPPORT_NEEDED, "nats"),
+    Threshold("late stamps: lag that has to be exceeded significantly", sensor_lag.SMALLEST_LAG,
+              "s"),
+    Threshold("late stamps: by how much, if many blocks of readings show it",
+              sensor_lag.SIGNIFICANT, "standard errors"),
+    Threshold("late stamps: effective number of these blocks", sensor_lag.FEWEST_BLOCKS),
+    Threshold("late stamps: duration of a block", sensor_lag.BLOCK_S, "s"),
+    Threshold("late stamps: readings in a block", sensor_lag.BLOCK_READINGS),
+    Threshold("late stamps: largest lag that is reported", sensor_lag.LARGEST_LAG, "s"),
+    Threshold("late stamps: memory for the blocks", sensor_lag.LAG_MEMORY_S, "s"),
     Threshold("degraded: time of driving without an accepted fix or yaw",
               S * filter_status.NOT_CORRECTED_NS, "s"),
     Threshold("lost: standard deviation of the position", filter_status.LOST_POSITION_STD, "m"),

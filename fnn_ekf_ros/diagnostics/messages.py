@@ -88,6 +88,8 @@ class SensorMessage(StrEnum):
     FROZEN_YAW = "frozen: the yaw does not change while the wheels rotate the robot"
     OFFSET = "the yaw is off by a constant angle, which is corrected"
     TURNED = "the yaw was turned: it is not used until the angle is known"
+    STAMPS_LATE = "stamps seem late: the readings show where the robot was before"
+    STAMPS_EARLY = "stamps seem early: the readings show where the robot was later"
     REJECTED = "many readings rejected: they disagree with <others>"
     SCATTER_MORE = "readings scatter more than the assumed noise"
     DISAGREES = "disagrees with <others>"

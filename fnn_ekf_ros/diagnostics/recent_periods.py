@@ -17,7 +17,8 @@ from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.motion import move
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.core.results import Shown, StepResult
-from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
+from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE, SENSOR_OF_ROW
+from fnn_ekf_ros.core.sensor_lag import Lags, at_another_pose, lags_after
 from fnn_ekf_ros.core.state import FilterModel, FilterState, persistent_noise
 from fnn_ekf_ros.core.suspects import SUSPECTS
 from fnn_ekf_ros.diagnostics.wheel_sizes import PeriodCorrection, with_correction
@@ -88,6 +89,7 @@ class RecentPeriods(NamedTuple):
         agreeing: consecutive rejected fixes that agree with each other and the wheels.
         leads: the suspects' leads of the last `LEAD_LASTS_NS`, the newest last.
         corrections: of the last periods, which show the wheels' sizes, the newest last.
+        lags: what is known of the lags of compass and fixes.
     """
 
     readings: SensorReadings
@@ -99,6 +101,7 @@ class RecentPeriods(NamedTuple):
     agreeing: int = 0
     leads: tuple[Leads, ...] = ()
     corrections: tuple[PeriodCorrection, ...] = ()
+    lags: Lags = Lags()
 
 
 def begin_recent(end_ns: int) -> RecentPeriods:
@@ -160,7 +163,12 @@ def recent_after(
     if recent is None:
         return begun
     if isinstance(before, AwaitingStart) or result is None or inputs.reset is not None:
-        return begun._replace(start_ns=recent.start_ns, moved=recent.moved, moves=recent.moves)
+        return begun._replace(
+            start_ns=recent.start_ns,
+            moved=recent.moved,
+            moves=recent.moves,
+            lags=at_another_pose(recent.lags),
+        )
     return _after_running(model, recent, before, after, inputs, result, end_ns)
 
 
@@ -180,6 +188,7 @@ def _after_running(
         readings=_with_readings(recent.readings, inputs, result, end_ns),
         fix_ns=end_ns if result.accepted_position else recent.fix_ns + stood_ns,
         yaw_ns=end_ns if result.accepted_yaw else recent.yaw_ns + stood_ns,
+        lags=_lags_after(recent.lags, inputs, result),
     )
     expected = move(model.motion_model, before.mean, inputs.control).mean
     if result.relocated:  # another place explains it all
@@ -191,9 +200,12 @@ def _after_running(
             agreeing=0,
             leads=(leads,),
             corrections=(),
+            lags=at_another_pose(recent.lags),
         )
     if _offset_changed(before, after):  # the filters start again from another pose
-        return recent._replace(agreeing=0, leads=(leads,), corrections=())
+        return recent._replace(
+            agreeing=0, leads=(leads,), corrections=(), lags=at_another_pose(recent.lags)
+        )
     hypothesis = after.relocation_hypothesis
     still_counted = tuple(old for old in recent.leads if end_ns - old.stamp_ns <= LEAD_LASTS_NS)
     correction = _correction(model, before, after, inputs.control, expected, end_ns)
@@ -236,6 +248,19 @@ def _correction(
         position_variance=float(np.max(np.diagonal(after.covariance)[:2])),
         yaw_variance=float(after.covariance[2, 2]),
     )
+
+
+def _lags_after(lags: Lags, inputs: PeriodInputs, result: StepResult) -> Lags:
+    """Return what is known of the lags after a period."""
+    shown = iter(result.shown)
+    for epoch in inputs.epochs:
+        if not epoch.available.any():
+            lags = lags_after(lags, epoch)
+            continue
+        seen = next(shown)
+        accepted = seen.available & ~seen.rejected[SENSOR_OF_ROW]
+        lags = lags_after(lags, epoch, float(seen.heading), accepted)
+    return lags
 
 
 def _with_readings(

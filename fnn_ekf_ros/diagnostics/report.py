@@ -25,6 +25,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
 from fnn_ekf_ros.diagnostics.filter_status import Failures, FilterFacts, filter_status
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, frozen_sensors
 from fnn_ekf_ros.diagnostics.lasting_words import YawOffset, doubtful_yaw, yaw_offset
+from fnn_ekf_ros.diagnostics.late_stamps import LateStamps, late_stamps
 from fnn_ekf_ros.diagnostics.messages import (
     LAST_REFUSAL,
     EncoderMessage,
@@ -223,11 +224,12 @@ class DiagnosticsReport:
             refused=Sensor.ENCODERS in self._new_refusal,
         )
         frozen = frozen_sensors(state)
+        late = late_stamps(self._parameters, recent)
         lasting = _lasting(state)
         offset = None
         if lasting is not None:
             offset = yaw_offset(lasting, self._parameters.compass_offset)
-        found = self._isolate(now_ns, encoders, frozen, lasting, recent, mode)
+        found = self._isolate(now_ns, encoders, {*frozen, *late}, lasting, recent, mode)
         moved = new_move(self._reported_move, recent)
         self._reported_move = moved or self._reported_move
         facts = FilterFacts(
@@ -244,7 +246,7 @@ class DiagnosticsReport:
         )
         statuses = (
             _with_isolation(encoders, found),
-            *self._measuring(now_ns, frozen, offset, found, recent),
+            *self._measuring(now_ns, frozen, offset, late, found, recent),
             filter_status(self._parameters, facts),
             self._time.status(),
         )
@@ -258,6 +260,7 @@ class DiagnosticsReport:
         now_ns: int,
         frozen: dict[Sensor, FrozenReadings],
         offset: YawOffset | None,
+        late: dict[Sensor, LateStamps],
         found: FaultIsolation,
         recent: RecentPeriods | None,
     ) -> Iterator[Status]:
@@ -269,14 +272,19 @@ class DiagnosticsReport:
         ):
             common = self._sensor(sensor, now_ns, expected=expected)
             yield measuring_status(
-                common, frozen.get(sensor), offset, symptoms_of(of_sensor), found
+                common,
+                frozen.get(sensor),
+                offset,
+                late.get(sensor),
+                symptoms_of(of_sensor),
+                found,
             )
 
     def _isolate(
         self,
         now_ns: int,
         encoders: Status,
-        frozen: dict[Sensor, FrozenReadings],
+        faulty: set[Sensor],
         lasting: LastingReport | None,
         recent: RecentPeriods | None,
         mode: AdaptationMode,
@@ -286,7 +294,7 @@ class DiagnosticsReport:
             return NO_FAULT
         if encoders.level is not Level.OK:
             self._explained_by[Sensor.ENCODERS] = now_ns
-        self._explained_by |= dict.fromkeys(frozen, now_ns)
+        self._explained_by |= dict.fromkeys(faulty, now_ns)
         learning = mode is AdaptationMode.JOINT and now_ns - recent.start_ns < LEARNING_NS
         found = isolate_fault(recent, self._parameters.wheel_separation, learning=learning)
         doubtful = None if lasting is None else doubtful_yaw(lasting)

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The statuses `compass` and `lrf_pose`: silent, refused, frozen, disagreeing."""
+"""The statuses `compass` and `lrf_pose`: silent, refused, frozen, late, disagreeing."""
 
 from fnn_ekf_ros.diagnostics.fault_isolation import (
     BAND_CHANCE,
@@ -13,6 +13,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
 )
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings
 from fnn_ekf_ros.diagnostics.lasting_words import YawOffset
+from fnn_ekf_ros.diagnostics.late_stamps import LateStamps
 from fnn_ekf_ros.diagnostics.messages import OTHERS, SensorMessage, fill
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.timeline.events import Level, Sensor, Status
@@ -29,6 +30,7 @@ def measuring_status(
     common: Status,
     frozen: FrozenReadings | None,
     offset: YawOffset | None,
+    late: LateStamps | None,
     symptoms: Symptoms,
     found: FaultIsolation,
 ) -> Status:
@@ -38,21 +40,22 @@ def measuring_status(
         common: what can be said of any sensor.
         frozen: its readings that should have changed, if there are any.
         offset: a yaw that is off, of this sensor or of the other one.
+        late: its lag, if its stamps are too late or too early.
         symptoms: of its last readings.
         found: the sensor that does not fit the others.
     """
     sensor = Sensor(common.name)
-    status = common._replace(values=(*common.values, *_values(symptoms)))
-    if frozen is not None:
-        status = status._replace(values=(*status.values, *frozen.values()))
-    if offset is not None and offset.sensor is sensor:
-        status = status._replace(values=(*status.values, *offset.values))
+    off = offset if offset is not None and offset.sensor is sensor else None
+    of_faults = _values_of_faults(frozen, off, late)
+    status = common._replace(values=(*common.values, *_values(symptoms), *of_faults))
     if status.level is not Level.OK:
         return status
     if frozen is not None:
         return status._replace(level=Level.WARN, message=frozen.message)
-    if offset is not None and offset.sensor is sensor and found.named in (None, sensor):
-        return status._replace(level=Level.WARN, message=offset.message)
+    if off is not None and found.named in (None, sensor):
+        return status._replace(level=Level.WARN, message=off.message)
+    if late is not None:
+        return status._replace(level=Level.WARN, message=late.message)
     if found.named is sensor:
         return status._replace(level=Level.WARN, message=_named_message(sensor, symptoms))
     calm = not found.suspects and max(found.leads) < CLEARED_LEAD
@@ -69,6 +72,19 @@ def _named_message(sensor: Sensor, symptoms: Symptoms) -> str:
     if symptoms.scatter is Scatter.MORE:
         return SensorMessage.SCATTER_MORE
     return fill(SensorMessage.DISAGREES, others=OTHERS[sensor])
+
+
+def _values_of_faults(
+    frozen: FrozenReadings | None, offset: YawOffset | None, late: LateStamps | None
+) -> Values:
+    values: Values = ()
+    if frozen is not None:
+        values += tuple(frozen.values())
+    if offset is not None:
+        values += tuple(offset.values)
+    if late is not None:
+        values += late.values()
+    return values
 
 
 def _values(symptoms: Symptoms) -> Values:

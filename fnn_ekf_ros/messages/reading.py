@@ -64,7 +64,7 @@ def read_input(
     if topic == JOINT_STATES:
         return _wheel_positions(message, parameters)
     if topic == COMPASS:
-        return _compass_yaw(message)
+        return _compass_yaw(message, parameters)
     return _pose(topic, message, receive_ns, parameters)
 
 
@@ -149,7 +149,12 @@ def _wheel_positions(message: Any, parameters: LocalizerParameters) -> list[Even
     return events
 
 
-def _compass_yaw(message: Any) -> list[Event] | Rejected:
+def _measured_ns(message: Any, delay_s: float) -> int:
+    """Return when a message was measured that is stamped later by a delay [ns]."""
+    return stamp_ns(message) - round(delay_s * 1e9)
+
+
+def _compass_yaw(message: Any, parameters: LocalizerParameters) -> list[Event] | Rejected:
     if message.orientation_covariance[0] == -1.0:
         return []  # an IMU that says it has no orientation
     yaw = yaw_of(message.orientation)
@@ -157,7 +162,7 @@ def _compass_yaw(message: Any) -> list[Event] | Rejected:
         return Rejected(
             Sensor.COMPASS, InputCheck.ORIENTATION, _bad_quaternion(message.orientation)
         )
-    return [CompassYaw(stamp_ns(message), yaw)]
+    return [CompassYaw(_measured_ns(message, parameters.compass_delay), yaw)]
 
 
 def _pose(
@@ -200,7 +205,7 @@ def _pose(
                 f"lrf_pose has the covariance diagonal [{shown}], expected "
                 f"{_A_COVARIANCE} (lrf_use_message_covariance is true)",
             )
-    return [PoseFix(stamp_ns(message), pose, covariance)]
+    return [PoseFix(_measured_ns(message, parameters.lrf_pose_delay), pose, covariance)]
 
 
 def _pose_reset(

@@ -21,6 +21,9 @@ half a second."""
 GATE = 1e-6
 """Default of the gates: the probability with which a correct reading is rejected, one in a million,
 about five standard deviations."""
+LARGEST_DELAY_S = 2.0
+"""Largest correction of a sensor's stamps, either way [s]: readings older than the default history
+are dropped."""
 NO_FRAME = "none"
 """Value of a frame parameter for no frame."""
 SAME_FILE = "same"
@@ -151,6 +154,21 @@ class LocalizerParameters(Parameters):
         "rad",
         at_least=-2.0 * math.pi,
         at_most=2.0 * math.pi,
+    )
+    compass_delay: float = parameter(
+        0.0,
+        "How much later than the measurement the compass is stamped; subtracted from its stamps.",
+        "s",
+        at_least=-LARGEST_DELAY_S,
+        at_most=LARGEST_DELAY_S,
+    )
+    lrf_pose_delay: float = parameter(
+        0.0,
+        "How much later than the measurement the laser fixes are stamped; subtracted from their "
+        "stamps.",
+        "s",
+        at_least=-LARGEST_DELAY_S,
+        at_most=LARGEST_DELAY_S,
     )
 
     # Outliers

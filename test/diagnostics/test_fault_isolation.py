@@ -165,7 +165,9 @@ def test_only_rejections_name_a_sensor_while_the_noise_is_learned_first() -> Non
 
 
 def status_of(sensor: Sensor, readings: Readings, found: FaultIsolation) -> Status:
-    return measuring_status(FINE._replace(name=sensor), None, None, symptoms_of(readings), found)
+    return measuring_status(
+        FINE._replace(name=sensor), None, None, None, symptoms_of(readings), found
+    )
 
 
 @pytest.mark.parametrize(
@@ -203,7 +205,7 @@ def test_other_troubles_of_a_sensor_come_first() -> None:
     refused = Status(Sensor.COMPASS, Level.WARN, "message refused: frame", ())
     frozen = FrozenReadings(SensorMessage.FROZEN_YAW, 7, 0.0, 0.6)
     found = FaultIsolation(Sensor.COMPASS, (Sensor.COMPASS,), (0.0, 20.0, 0.0))
-    status = measuring_status(refused, frozen, None, symptoms_of(rejecting(9)), found)
+    status = measuring_status(refused, frozen, None, None, symptoms_of(rejecting(9)), found)
     assert status.message == "message refused: frame"
     assert ("rejected of the last readings", "9") in status.values
     assert ("last readings", "20") in status.values

@@ -98,14 +98,16 @@ def test_the_status_of_that_sensor_alone_tells_it() -> None:
     levels = {}
     for sensor in (Sensor.COMPASS, Sensor.LRF_POSE):
         common = Status(sensor, Level.OK, "received", ())
-        status = measuring_status(common, None, found, symptoms_of(Readings()), NO_FAULT)
+        status = measuring_status(common, None, found, None, symptoms_of(Readings()), NO_FAULT)
         levels[status.name] = (status.level, status.message)
     assert levels == {"compass": (Level.WARN, TURNED), "lrf_pose": (Level.OK, "received")}
     slip = FaultIsolation(Sensor.ENCODERS, (Sensor.ENCODERS,), (20.0, 0.0, 0.0))
     common = Status(Sensor.COMPASS, Level.OK, "received", ())
-    assert measuring_status(common, None, found, symptoms_of(Readings()), slip).level is Level.OK
+    assert (
+        measuring_status(common, None, found, None, symptoms_of(Readings()), slip).level is Level.OK
+    )
     silent = Status(Sensor.COMPASS, Level.WARN, "silent", ())
-    status = measuring_status(silent, None, found, symptoms_of(Readings()), NO_FAULT)
+    status = measuring_status(silent, None, found, None, symptoms_of(Readings()), NO_FAULT)
     assert status.message == "silent"
     assert ("yaw offset std [rad]", "0.050") in status.values
 

@@ -163,6 +163,16 @@ def test_the_compass_frame_is_not_checked(frame: str) -> None:
     assert found.yaw == pytest.approx(-2.5)
 
 
+def test_the_delay_of_a_sensor_is_subtracted_from_its_stamps() -> None:
+    parameters = make_parameters(compass_delay=0.25, lrf_pose_delay=-0.5)
+    (yaw,) = messages.read_input("compass", imu(turned(1.0)), 1, parameters)
+    assert yaw.stamp_ns == STAMP_NS - 250_000_000
+    (fix,) = messages.read_input("lrf_pose", pose_message(), 1, parameters)
+    assert fix.stamp_ns == STAMP_NS + 500_000_000
+    (reset,) = messages.read_input("initialpose", pose_message(), STAMP_NS, parameters)
+    assert reset.stamp_ns == STAMP_NS  # a command, not a reading of the sensor
+
+
 def test_an_imu_without_an_orientation_is_no_compass() -> None:
     nothing = quaternion(0.0, 0.0, 0.0, 0.0)
     assert messages.read_input("compass", imu(nothing, -1.0), 1, make_parameters()) == []
