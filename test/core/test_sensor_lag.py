@@ -139,7 +139,18 @@ def test_lags_are_found_with_an_honest_error(steps: tuple[int, int]) -> None:
         {"speeds": straight_on},
         {"speeds": circling},
     ],
-    ids=str,
+    ids=[
+        "none",
+        "fixes-3s",
+        "fixes-10s",
+        "fixes-100s",
+        "compass-little",
+        "compass-much",
+        "left-wheel",
+        "right-wheel",
+        "straight-on",
+        "circling",
+    ],
 )
 def test_other_errors_are_no_lag(changes: dict[str, object]) -> None:
     rng = np.random.default_rng(5)
