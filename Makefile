@@ -63,10 +63,10 @@ $(VENV)/.installed: requirements.txt requirements-ros.txt setup.py package.xml
 	sh scripts/make_venv.sh "$(PYTHON)" "$(VENV)"
 	touch $@
 
-# For make coverage and the tests of /tf only: make demo does not need them.
+# For make coverage, the comparison with evo and the tests of /tf: make demo does not need them.
 $(VENV)/.installed-tests: $(VENV)/.installed requirements-tests.txt
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
-	  $$(grep -E '^(pytest-cov|coverage)==' requirements-tests.txt)
+	  $$(grep -E '^[A-Za-z]' requirements-tests.txt | grep -v '^ros-')
 	if ! $(BIN)/python -c 'import tf2_msgs' 2>/dev/null && command -v cmake >/dev/null; then \
 	  $(BIN)/python -m pip install --disable-pip-version-check --quiet \
 	    -r requirements-tests.txt; \

@@ -20,6 +20,7 @@ COMMANDS = {
     "replay": "replay",
     "import-csv": "import_csv",
     "evaluate": "evaluate",
+    "compare": "compare",
     "train": "train",
     "study": "study",
 }
@@ -42,7 +43,11 @@ setup(
     description=" ".join(MANIFEST.findtext("description").split()),
     license=MANIFEST.findtext("license"),
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.membership": ["*.yaml"]},
+    package_data={
+        NAME: ["py.typed"],
+        f"{NAME}.membership": ["*.yaml"],
+        f"{NAME}.reports": ["*.j2"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -55,7 +60,7 @@ setup(
     # rclpy and the message packages come with ROS, never from here.
     install_requires=["numpy>=1.26", "PyYAML>=6.0", "rosbags>=0.11.9,<0.12"],
     extras_require={
-        "tools": ["matplotlib>=3.8", "tqdm>=4.66"],
+        "tools": ["argcomplete>=3.1", "jinja2>=3.1", "matplotlib>=3.8", "tqdm>=4.66"],
         "test": ["pytest>=8", "hypothesis>=6.100"],
     },
     zip_safe=False,

@@ -1,5 +1,6 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
+# PYTHON_ARGCOMPLETE_OK: the shell may ask for completions
 
 """The executables: one table, one place where errors become one line."""
 
@@ -8,13 +9,20 @@ import functools
 import importlib
 import os
 import sys
+import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros.errors import FnnEkfError, in_one_line
 from fnn_ekf_ros.stopping import FAILURE, INTERRUPTED, exit_by_signal, stop_by_signal
 from fnn_ekf_ros.version import PACKAGE, version
+
+COMPLETING = "_ARGCOMPLETE"
+"""Environment variable that the shell sets if it asks for completions by argcomplete."""
+HELP_WIDTH = 88
+"""Width of the paragraphs of a help [characters]."""
 
 
 class Command(NamedTuple):
@@ -23,33 +31,96 @@ class Command(NamedTuple):
     Attributes:
         module: has `add_arguments(parser)` and `run(arguments)`.
         summary: what it does.
+        examples: its arguments, as `--help` shows them.
         is_node: whether `run` takes the list of ROS arguments instead.
         stops_by_signal: whether SIGINT and SIGTERM are a proper end, with exit code 0.
     """
 
     module: str
     summary: str
+    examples: tuple[str, ...] = ()
     is_node: bool = False
     stops_by_signal: bool = False
 
 
 COMMANDS = {
     "localizer": Command(
-        "fnn_ekf_ros.ros.localizer", "the localizer node", is_node=True, stops_by_signal=True
+        "fnn_ekf_ros.ros.localizer",
+        "the localizer node",
+        (
+            "--ros-args --params-file my_robot.yaml -r lrf_pose:=/amcl_pose -r compass:=/imu/data",
+            "--ros-args -p wheel_radius:=0.025 -p wheel_separation:=0.6 "
+            "-p encoder_counts_per_revolution:=500.0",
+        ),
+        is_node=True,
+        stops_by_signal=True,
     ),
     "fake_robot": Command(
         "fnn_ekf_ros.ros.fake_robot",
         "a simulated robot as a node",
+        ("", "--ros-args -p path:=figure_eight -p lrf_rate:=1.0 -p faults_file:=faults.yaml"),
         is_node=True,
         stops_by_signal=True,
     ),
-    "simulate": Command("fnn_ekf_ros.commands.simulate", "the simulated robot straight into a bag"),
-    "play": Command("fnn_ekf_ros.ros.play", "publish a recorded bag", stops_by_signal=True),
-    "replay": Command("fnn_ekf_ros.commands.replay", "the localizer over a bag: bag in, bag out"),
-    "import-csv": Command("fnn_ekf_ros.commands.import_csv", "a CSV recording into a bag"),
-    "evaluate": Command("fnn_ekf_ros.commands.evaluate", "errors against a ground truth"),
-    "train": Command("fnn_ekf_ros.commands.train", "learn the membership functions"),
-    "study": Command("fnn_ekf_ros.commands.study", "Monte Carlo runs through every filter"),
+    "simulate": Command(
+        "fnn_ekf_ros.commands.simulate",
+        "the simulated robot straight into a bag",
+        ("run --duration 60", "run -p path:=round -p seed:=3 -p faults_file:=faults.yaml"),
+    ),
+    "play": Command(
+        "fnn_ekf_ros.ros.play",
+        "publish a recorded bag",
+        (
+            "my_bag --clock --loop",
+            "my_bag --clock --rate 20 --keep-pace-with odom --topics joint_states compass lrf_pose",
+        ),
+        stops_by_signal=True,
+    ),
+    "replay": Command(
+        "fnn_ekf_ros.commands.replay",
+        "the localizer over a bag: bag in, bag out",
+        (
+            "run out --params run.yaml",
+            "my_bag out --params my_robot.yaml -r lrf_pose:=/amcl_pose -r odom:=/odom_in_map --tf",
+            "my_bag out --params my_robot.yaml --strict --json health.json --save-params new.yaml",
+        ),
+    ),
+    "import-csv": Command(
+        "fnn_ekf_ros.commands.import_csv",
+        "a CSV recording into a bag",
+        (
+            "run.csv run --geometry run.json --fixes run_fixes.csv",
+            "run.csv run --geometry run.json --fix-columns gps_x gps_y --compass-column yaw",
+        ),
+    ),
+    "evaluate": Command(
+        "fnn_ekf_ros.commands.evaluate",
+        "errors of a run, whether it is honest, and a report",
+        (
+            "out --align se2 --rpe 10m",
+            "out other --truth-bag my_bag --labels joint EKF --json errors.json --plot errors.png",
+            "out --report out.html --findings found.json",
+            "out --tum files --kitti files",
+        ),
+    ),
+    "compare": Command(
+        "fnn_ekf_ros.commands.compare",
+        "runs side by side, and which is better",
+        (
+            "out other --labels joint EKF --truth-bag my_bag --json compared.json",
+            "my_bag --params a.yaml b.yaml -p wheel_radius:=0.033 -r lrf_pose:=/amcl_pose",
+        ),
+    ),
+    "train": Command(
+        "fnn_ekf_ros.commands.train",
+        "learn the membership functions",
+        ("--out trained.yaml --plots training", "--out joint.yaml --network joint --seed 2"),
+    ),
+    "study": Command(
+        "fnn_ekf_ros.commands.study",
+        "Monte Carlo runs through every filter",
+        ("grid --out grid --runs 10 --filters joint", "real run --out real --params run.yaml"),
+    ),
 }
 """The executables, by name."""
 
@@ -60,12 +131,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog=PACKAGE,
         description="Localization of two-wheeled robots by an EKF that estimates its noise.",
-        epilog="NAME --help shows the arguments of a command.",
+        epilog="NAME --help shows the arguments of a command, and examples.",
     )
     _add_version(parser, PACKAGE)
     names = parser.add_subparsers(metavar="NAME", required=True)
+    asked = _asked_command()
     for name, command in COMMANDS.items():
-        names.add_parser(name, help=command.summary, add_help=False)
+        own = names.add_parser(name, help=command.summary, add_help=name == asked)
+        if name == asked:
+            _add_version(own, name)
+            with suppress(FnnEkfError):  # ROS is not here
+                _declare(own, name, command)
+    _answer(parser)
     if not given or given[0] not in COMMANDS:
         parser.parse_args(given)
     return run_command(given[0], given[1:])
@@ -106,16 +183,54 @@ def _run(name: str, command: Command, given: list[str]) -> int:
     early = argparse.ArgumentParser(prog=name, add_help=False, allow_abbrev=False)
     _add_version(early, f"{name} ({PACKAGE})")
     early.parse_known_args(own)
-    summary = f"{command.summary[0].upper()}{command.summary[1:]}."
-    parser = argparse.ArgumentParser(prog=name, description=summary, parents=[early])
+    parser = argparse.ArgumentParser(prog=name, parents=[early])
+    module = _declare(parser, name, command)
+    _answer(parser)
+    arguments = parser.parse_args(own)
+    return int(module.run(ros_arguments if command.is_node else arguments))
+
+
+def _declare(parser: argparse.ArgumentParser, name: str, command: Command) -> ModuleType:
+    """Declare the arguments of a command, and what its help says; return its module.
+
+    Raises:
+        FnnEkfError: it needs what is not installed.
+    """
+    parser.description = f"{command.summary[0].upper()}{command.summary[1:]}."
     if command.is_node:
         parser.usage = (
             "%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
         )
     module = importlib.import_module(command.module)
     module.add_arguments(parser)
-    arguments = parser.parse_args(own)
-    return int(module.run(ros_arguments if command.is_node else arguments))
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = _paragraph(parser.description)
+    run = f"ros2 run {PACKAGE}" if command.is_node else f"python3 -m {PACKAGE}"
+    examples = "\n".join(f"  {run} {name} {example}".rstrip() for example in command.examples)
+    parser.epilog = f"{_paragraph(parser.epilog or '')}\n\nexamples:\n{examples}".strip()
+    return module
+
+
+def _paragraph(text: str) -> str:
+    """Return a text for the help; one that has lines of its own keeps them."""
+    return text if "\n" in text else textwrap.fill(text, HELP_WIDTH)
+
+
+def _asked_command() -> str:
+    """Return the command in the line that the shell wants to complete; empty if there is none."""
+    words = os.environ.get("COMP_LINE", "").split() if COMPLETING in os.environ else []
+    return next((word for word in words if word in COMMANDS), "")
+
+
+def _answer(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell if it asks for completions, and end; nothing else imports argcomplete."""
+    if COMPLETING not in os.environ:
+        return
+    try:
+        from argcomplete import autocomplete
+    except ImportError:
+        sys.exit(FAILURE)  # a question is no order to run
+    autocomplete(parser)
 
 
 def _discard_output() -> None:
@@ -159,5 +274,6 @@ play = functools.partial(run_command, "play")
 replay = functools.partial(run_command, "replay")
 import_csv = functools.partial(run_command, "import-csv")
 evaluate = functools.partial(run_command, "evaluate")
+compare = functools.partial(run_command, "compare")
 train = functools.partial(run_command, "train")
 study = functools.partial(run_command, "study")

@@ -10,6 +10,9 @@ from types import FrameType
 
 FAILURE = 1
 """Exit code after an error that is printed."""
+UNHEALTHY = 3
+"""Exit code of a command that did its work, but was asked to fail if a run is not healthy; 2 is
+that of an unknown option."""
 INTERRUPTED = 130
 """Exit code after SIGINT, as shells have it: 128 and the number of the signal."""
 STOPPED = threading.Event()

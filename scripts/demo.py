@@ -168,7 +168,8 @@ def replay(out: Path) -> None:
             said, trouble = process.communicate()
             if process.returncode:
                 raise FnnEkfError(trouble.strip())
-            print(f"  {said.strip().replace(str(out), str(OUT))}")
+            done, *_ = said.splitlines()  # what follows is the health of runs that are wrong
+            print(f"  {done.replace(str(out), str(OUT))}")
 
 
 def evaluate(out: Path) -> None:

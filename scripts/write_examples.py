@@ -33,7 +33,7 @@ BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
 """The demo's bag, and the parameters of its robot."""
 DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
 """Lines of the README's table, and the arguments of `replay` for each in scripts/demo.py."""
-MEASURED = ("bias.yaml", "late.yaml")
+MEASURED = ("bias.yaml", "late.yaml", "health.json")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
 """Line of the demo's table whose estimated noise is shown."""
@@ -44,6 +44,8 @@ SHOWN_VALUES = (
 """Values that are shown with a report."""
 NUMBERS = r"(?:[\d.]+ \| ){3}[\d.]+"
 """Pattern of the numbers in a line of the README's table."""
+PRINTED = r"(?: {4}[^\n]*\n|\n)+?"
+"""Pattern of an indented block in which lines may be empty."""
 LATE = ("in time", "late", "stamped on arrival", "waited for")
 """Runs of the example with late fixes, in the order of the text."""
 
@@ -94,7 +96,8 @@ def run_lines(lines: Sequence[str], folder: Path) -> str:
 
 def scores(printed: str) -> dict[str, list[float]]:
     """Return the numbers that `evaluate` prints: of each run x, y, theta, position, NEES."""
-    rows = [line.rsplit(maxsplit=6) for line in printed.splitlines()[2:]]
+    table, _, _ = printed.partition("\n\n")
+    rows = [line.rsplit(maxsplit=6) for line in table.splitlines()[2:]]
     return {label: [float(text) for text in numbers] for label, _, *numbers in rows}
 
 
@@ -159,6 +162,14 @@ def report(after_s: float, folder: Path) -> str:
     return "".join(lines)
 
 
+def health(folder: Path) -> str:
+    """Return what the replay of docs/operation.md ends with, as it is there."""
+    own = folder / "health"
+    own.mkdir()
+    _, *lines = run_lines(example("docs/operation.md", "health.json").lines, own).splitlines()
+    return "".join(f"    {line}\n" for line in lines)
+
+
 def late_fixes(folder: Path) -> str:
     """Return the position errors of the example of docs/results.md, in the order of its table."""
     document = "docs/results.md"
@@ -181,6 +192,29 @@ def late_fixes(folder: Path) -> str:
     return f"{', '.join(found[:-1])} and {found[-1]}"
 
 
+def printed_lines(printed: str) -> str:
+    """Return what a command prints as an indented block."""
+    lines = printed.rstrip("\n").splitlines()
+    return "".join(f"    {line}\n" if line else "\n" for line in lines)
+
+
+def evaluated(folder: Path) -> str:
+    """Return what `evaluate` prints of the demo's EKF."""
+    return printed_lines(run(["evaluate", demo_bag("EKF", folder), "--labels", "EKF"], folder))
+
+
+def consistency(folder: Path) -> str:
+    """Return what `evaluate` says of the demo's EKF as a whole."""
+    lines = evaluated(folder).splitlines(keepends=True)
+    return "".join(line for line in lines if line.startswith(("    EKF: NEES:", "    EKF: NIS:")))
+
+
+def compared(folder: Path) -> str:
+    """Return what `compare` prints of the demo's EKF and FNN-EKF."""
+    bags = demo_bag("EKF", folder), demo_bag(ADAPTED, folder)
+    return printed_lines(run(["compare", *bags, "--labels", "EKF", "FNN-EKF"], folder))
+
+
 SHOWN = (
     *(
         Shown("README.md", label, rf"^\| {label} \| ({NUMBERS}) \|$", partial(demo_row, label))
@@ -192,6 +226,12 @@ SHOWN = (
           rf"Fifteen seconds into the fault:\n\n({INDENTED})", partial(report, 15.0)),
     Shown("docs/diagnostics.md", "end of the demo",
           rf"end of the demo:\n\n({INDENTED})", estimated_noise),
+    Shown("docs/operation.md", "health of a replay",
+          rf"so this ends with:\n\n({INDENTED})", health),
+    Shown("README.md", "consistency", rf"Of the demo's EKF:\n\n({INDENTED})", consistency),
+    Shown("docs/evaluate.md", "evaluate",
+          rf"starts with wrong noise:\n\n({PRINTED})\n- ", evaluated),
+    Shown("docs/evaluate.md", "compare", rf"--labels EKF FNN-EKF`\):\n\n({PRINTED})\n- ", compared),
     Shown("docs/results.md", "late fixes", r"these give\s+(.*?)\.\n", late_fixes),
 )  # fmt: skip
 """All parts of documents that are rewritten."""

@@ -44,18 +44,23 @@ MAY_IMPORT: dict[str, set[str]] = {
     "recordings": {
         "core", "diagnostics", "errors", "files", "localizer", "messages", "parameters", "timeline",
     },
-    "reports": {"core", "errors", "files", "membership", "recordings"},
+    "evaluation": {"core", "errors", "recordings", "timeline"},
+    "reports": {
+        "core", "errors", "evaluation", "files", "membership", "parameters", "recordings",
+        "timeline",
+    },
     "simulation": {"core", "messages", "parameters", "timeline"},
     "study": {
-        "core", "errors", "files", "localizer", "membership", "messages", "parameters",
-        "recordings", "reports", "simulation", "timeline",
+        "core", "errors", "evaluation", "files", "localizer", "membership", "messages",
+        "parameters", "recordings", "reports", "simulation", "timeline",
     },
     "training": {
         "core", "errors", "membership", "parameters", "reports", "study", "timeline",
     },
     "commands": {
-        "core", "errors", "files", "localizer", "membership", "messages", "parameters",
-        "recordings", "reports", "simulation", "study", "timeline", "training", "version",
+        "core", "diagnostics", "errors", "evaluation", "files", "localizer", "membership",
+        "messages", "parameters", "recordings", "reports", "simulation", "stopping", "study",
+        "timeline", "training", "version",
     },
     "ros": {
         "core", "diagnostics", "errors", "files", "localizer", "membership", "messages",
@@ -69,10 +74,14 @@ IMPURE_CALLS = {"print", "open", "input", "exec", "eval", "__import__", "breakpo
 ROS_SUFFIXES = ("_msgs", "_interfaces", "_srvs", "_py")
 ROS_PACKAGES = {"rclpy", "rcl_interfaces", "rosidl_runtime_py", "tf2_ros"}
 # (module that needs it, what it needs): the one place for each.
-ONLY_IN = {"rosbags": {"recordings"}, "matplotlib": {"reports", "study"}, "tqdm": {"reports"}}
+ONLY_IN = {
+    "rosbags": {"recordings"}, "matplotlib": {"reports", "study"}, "tqdm": {"reports"},
+    "argcomplete": {"cli"},
+    "jinja2": {"reports"},
+}  # fmt: skip
 PURE_PARTS = (
     "core", "parameters", "timeline", "messages", "diagnostics", "localizer", "simulation",
-    "membership", "training", "errors",
+    "membership", "training", "errors", "evaluation",
 )  # fmt: skip
 
 
@@ -111,9 +120,11 @@ def python(code: str, *words: str, path: str = "") -> subprocess.CompletedProces
 
 @pytest.fixture(scope="module")
 def without_ros(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A folder that hides rclpy, matplotlib and tqdm from a process that looks there first."""
+    """A folder that hides what may be missing from a process that looks there first."""
     folder = tmp_path_factory.mktemp("without_ros")
-    for name in ("rclpy", "matplotlib", "tqdm", "std_msgs", "nav_msgs"):
+    for name in (
+        "rclpy", "matplotlib", "tqdm", "argcomplete", "jinja2", "std_msgs", "nav_msgs",
+    ):  # fmt: skip
         (folder / f"{name}.py").write_text(f'raise ImportError("{name} is not here")\n')
     return str(folder)
 
@@ -181,7 +192,7 @@ def test_every_module_but_the_nodes_is_imported_without_ros(without_ros: str) ->
     code = (
         "import importlib, sys\n"
         f"for name in {names!r}: importlib.import_module(name)\n"
-        "print(*sorted({'rclpy', 'matplotlib', 'tqdm'} & set(sys.modules)))\n"
+        "print(*sorted({'rclpy', 'matplotlib', 'tqdm', 'jinja2'} & set(sys.modules)))\n"
     )
     ended = python(code, path=without_ros)
     assert (ended.returncode, ended.stdout.strip(), ended.stderr) == (0, "", "")
@@ -212,7 +223,18 @@ def test_the_localizer_node_pulls_in_nothing_heavy() -> None:
     assert (ended.returncode, ended.stdout.strip()) == (0, "")
 
 
-@pytest.mark.parametrize("name", ["simulate", "replay", "import-csv", "evaluate", "train", "study"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "simulate",
+        "replay",
+        "import-csv",
+        "evaluate",
+        "compare",
+        "train",
+        "study",
+    ],
+)
 @pytest.mark.slow
 def test_tools_help_without_ros(without_ros: str, name: str) -> None:
     ended = python("", "-m", "fnn_ekf_ros", name, "--help", path=without_ros)
@@ -266,8 +288,8 @@ def test_the_package_lists_its_commands() -> None:
     assert ended.returncode == 0
     listed = {line.split()[0] for line in ended.stdout.splitlines() if line.startswith("    ")}
     assert listed >= {
-        "localizer", "fake_robot", "simulate", "play", "replay", "import-csv", "evaluate", "train",
-        "study",
+        "localizer", "fake_robot", "simulate", "play", "replay", "import-csv", "evaluate",
+        "compare", "train", "study",
     }  # fmt: skip
 
 

@@ -4,6 +4,7 @@
 """Command line arguments that several commands share, and checks of their values."""
 
 import argparse
+import functools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,9 @@ from fnn_ekf_ros.parameters.files import (
     read_parameter_file,
     refuse_what_ros_refuses,
 )
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import Parameters, fields_of
+from fnn_ekf_ros.recordings.inputs import TOPICS
 from fnn_ekf_ros.study.workers import available_cpus
 
 MOST_JOBS = 1024
@@ -79,16 +83,43 @@ def chosen_names(option: str, words: str, known: Iterable[str]) -> list[str]:
     return [name for name in names if name in chosen]
 
 
-def add_parameter_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add `--params FILE` and `-p name:=value`."""
+def add_parameter_arguments(
+    parser: argparse.ArgumentParser, kind: type[Parameters] = LocalizerParameters
+) -> None:
+    """Add `--params FILE` and `-p name:=value` of a parameter set."""
     parser.add_argument(
         "--params", metavar="FILE", type=Path, action="append", default=[],
         help="parameter file in ROS form; may be given several times, later ones win",
     )  # fmt: skip
-    parser.add_argument(
+    assignments = parser.add_argument(
         "-p", dest="assignments", metavar="NAME:=VALUE", action="append", default=[],
         help="one parameter, as in ros2 run; wins over files",
     )  # fmt: skip
+    assignments.completer = functools.partial(  # type: ignore[attr-defined]
+        possible_assignments, kind
+    )
+
+
+def possible_assignments(kind: type[Parameters], prefix: str, **_: Any) -> list[str]:
+    """Return how `-p` may go on, for the shell: names, then the words that a value may be.
+
+    Args:
+        kind: the parameter set.
+        prefix: what there is of it.
+    """
+    name, separator, _value = prefix.partition(":=")
+    if not separator:
+        return [f"{known}:=" for known, _, _ in fields_of(kind)]
+    words: tuple[str, ...] = ()
+    for known, spec, default in fields_of(kind):
+        if known == name:
+            words = ("true", "false") if isinstance(default, bool) else spec.choices
+    return [f"{name}:={word}" for word in words]
+
+
+def possible_remappings(**_: Any) -> list[str]:
+    """Return how `-r` may go on, for the shell: the topics that can have another name."""
+    return [f"{topic}:=" for topic in TOPICS]
 
 
 def given_parameters(arguments: argparse.Namespace, node_name: str) -> dict[str, Any]:
@@ -107,10 +138,11 @@ def given_parameters(arguments: argparse.Namespace, node_name: str) -> dict[str,
 
 def add_remapping_argument(parser: argparse.ArgumentParser) -> None:
     """Add `-r FROM:=TO`."""
-    parser.add_argument(
+    remappings = parser.add_argument(
         "-r", dest="remappings", metavar="FROM:=TO", action="append", default=[],
         help="the recording's topic TO for the localizer's topic FROM, as in ros2 run",
     )  # fmt: skip
+    remappings.completer = possible_remappings  # type: ignore[attr-defined]
 
 
 def add_folder_argument(parser: argparse.ArgumentParser, results: str) -> None:

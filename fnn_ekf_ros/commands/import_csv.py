@@ -5,8 +5,9 @@
 
 CSV: `t` [s], `left_ticks`, `right_ticks` (cumulative), and if known `gt_x`, `gt_y` [m],
 `gt_theta` [rad] and a compass yaw `heading_meas` [rad]. `--fixes`: `t`, `fix_x`, `fix_y` [m],
-`fix_theta` [rad], and if known `sig_x`, `sig_y`, `sig_theta`, `rho_xy`. An empty field or nan is a
-missing value. `--geometry`: JSON with `wheel_base_m` and `metres_per_tick`.
+`fix_theta` [rad], and if known their standard deviations `sig_x`, `sig_y` [m], `sig_theta` [rad]
+and correlation `rho_xy`, which the localizer uses with lrf_use_message_covariance. An empty field
+or nan is a missing value. `--geometry`: JSON with `wheel_base_m` and `metres_per_tick`.
 """
 
 import argparse
@@ -20,6 +21,7 @@ from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter, file_beside, refuse_existing
+from fnn_ekf_ros.recordings.csv_hints import import_notes
 from fnn_ekf_ros.recordings.csv_import import (
     COMPASS_COLUMN,
     FIX_COLUMNS,
@@ -37,7 +39,6 @@ from fnn_ekf_ros.reports.progress import with_progress
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.description = __doc__
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("csv", metavar="CSV", type=Path, help="t, left_ticks, right_ticks, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="the bag to write (a new folder)")
     parser.add_argument(
@@ -86,7 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
         },
     )
 
-    timed = messages_of(table, fixes, Columns(truth=truth, fixes=fix, compass=compass), parameters)
+    columns = Columns(truth=truth, fixes=fix, compass=compass)
+    timed = messages_of(table, fixes, columns, parameters)
     for source in {table.path: table, fixes.path: fixes}.values():
         backwards = int(np.sum(np.diff(source.column("t")) < 0.0))
         if backwards:
@@ -100,4 +102,6 @@ def run(arguments: argparse.Namespace) -> int:
     counts = Counter(entry.topic for entry in timed)
     listed = ", ".join(f"{count} {topic}" for topic, count in counts.items())
     print(f"{arguments.out}: {listed}; {file_beside(arguments.out)}: matching localizer parameters")
+    for note in import_notes(table, fixes, columns, counts):
+        print(f"import-csv: {note}")
     return 0

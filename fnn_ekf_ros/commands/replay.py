@@ -1,12 +1,12 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""`replay IN OUT`: the localizer over a recording, bag in, bag out."""
+"""`replay IN OUT`: the localizer over a recording, bag in, bag out, and how healthy it was."""
 
 import argparse
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from fnn_ekf_ros import messages
@@ -15,6 +15,15 @@ from fnn_ekf_ros.commands.arguments import (
     add_remapping_argument,
     given_parameters,
 )
+from fnn_ekf_ros.diagnostics.health import UNHEALTHY_SHARE, HealthSummary
+from fnn_ekf_ros.diagnostics.health_monitor import HealthMonitor
+from fnn_ekf_ros.diagnostics.health_words import (
+    checks,
+    found_parameters,
+    health_lines,
+    plain_summary,
+)
+from fnn_ekf_ros.files.text_files import write_json, write_text
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.outputs import output_messages
 from fnn_ekf_ros.localizer.saved_state import SavedState
@@ -31,7 +40,10 @@ from fnn_ekf_ros.recordings.inputs import (
     last_words,
     take,
 )
+from fnn_ekf_ros.recordings.transforms import ReplayedTransforms
 from fnn_ekf_ros.reports.progress import with_progress
+from fnn_ekf_ros.reports.result_folder import check_result_file
+from fnn_ekf_ros.stopping import UNHEALTHY
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +57,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="wheels only, for comparison: ignore fixes and compass once the filter has started",
     )  # fmt: skip
     parser.add_argument(
+        "--tf", action="store_true",
+        help="write the transform that the node publishes with publish_tf; recorded ones with the "
+        "same child frame are not copied",
+    )  # fmt: skip
+    parser.add_argument(
+        "--strict", action="store_true",
+        help=f"exit with code {UNHEALTHY} if the run was not healthy: a status of /diagnostics was "
+        f"above OK for more than {100.0 * UNHEALTHY_SHARE:g} %% of the time or at the end, the "
+        "filter was too sure of a sensor, or wheels or noise were far from what is configured",
+    )  # fmt: skip
+    parser.add_argument(
+        "--save-params", metavar="FILE", type=Path,
+        help="write a parameter file with the noise and the compass_offset that were found",
+    )  # fmt: skip
+    parser.add_argument(
+        "--json", metavar="FILE", type=Path, help="write the health summary as JSON"
+    )
+    parser.add_argument(
         "--storage", choices=STORAGES, default="mcap", help="storage format of the bag (mcap)"
     )
 
@@ -52,50 +82,108 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
-    networks = networks_for(parameters)
+    if arguments.tf:
+        parameters = replace(parameters, publish_tf=True)
+    _check_result_files(arguments)
     names = TopicNames(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
-        inputs = inputs_in(bag, parameters, names)
-        replaced = names.outputs(set(inputs))
-        recorded = bag.topics.get(messages.DIAGNOSTICS)
-        if recorded is not None and recorded.type_name != messages.DIAGNOSTICS_TYPE:
-            replaced.add(messages.DIAGNOSTICS)
-        if old := sorted(replaced & bag.topics.keys()):
-            print(f"replay: {', '.join(old)} of {arguments.bag} not copied: OUT gets new ones")
-        notes = {
-            NODE_NAME: render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME)
-        }
-        with BagWriter(arguments.out, arguments.storage, notes) as out:
-            copied = _announce(out, [t for t in bag.topics.values() if t.name not in replaced])
-            localizer = Localizer(
-                parameters,
-                networks,
-                warm_start=_warm_start(parameters),
-                dead_reckoning=arguments.dead_reckoning,
-            )
-            estimates = 0
-            for record in with_progress(bag.records(), bag.message_count, "replay"):
-                if record.topic in copied and (
-                    record.topic != messages.DIAGNOSTICS or not _is_own_diagnostics(bag, record)
-                ):
-                    out.write_raw(record)
-                for output in take(localizer, bag, record, inputs):
-                    estimates += output.estimate is not None
-                    for topic, message in output_messages(output, parameters).items():
-                        out.write(names.of(topic), message, record.time_ns)
-            if not estimates:
-                raise BagError(
-                    f"bag '{arguments.bag}' gives no odom: expected encoders, fixes and a yaw "
-                    f"that start the filter; {last_words(localizer)}"
-                )
-            duration = bag.duration_s
+        summary = _replay(arguments, parameters, bag, names)
+        duration, begin_ns = bag.duration_s, bag.start_ns
     took = time.monotonic() - began
     print(
-        f"{arguments.out}: {estimates} odom from {duration:.1f} s of recording in {took:.1f} s "
-        f"({duration / took:.0f} times real time)"
+        f"{arguments.out}: {summary.estimates} odom from {duration:.1f} s of recording in "
+        f"{took:.1f} s ({duration / took:.0f} times real time)"
     )
-    return 0
+    print("\n".join(health_lines(summary, begin_ns)))
+    if arguments.json is not None:
+        write_json(arguments.json, plain_summary(summary), indent=2)
+    if arguments.save_params is not None:
+        write_text(arguments.save_params, _found(summary, arguments.bag.name))
+    return UNHEALTHY if arguments.strict and not summary.healthy else 0
+
+
+def _check_result_files(arguments: argparse.Namespace) -> None:
+    """Refuse files to write that cannot be written, before the work is done."""
+    taken = [arguments.bag, arguments.out, *arguments.params]
+    for option, path in (("--save-params", arguments.save_params), ("--json", arguments.json)):
+        if path is not None:
+            check_result_file(option, path, taken)
+            taken.append(path)
+
+
+def _replay(
+    arguments: argparse.Namespace,
+    parameters: LocalizerParameters,
+    bag: BagReader,
+    names: TopicNames,
+) -> HealthSummary:
+    """Write OUT; return how healthy the run was.
+
+    Raises:
+        BagError: a recording cannot be read or written, or does not start the filter.
+    """
+    inputs = inputs_in(bag, parameters, names)
+    localizer = Localizer(
+        parameters,
+        networks_for(parameters),
+        warm_start=_warm_start(parameters),
+        dead_reckoning=arguments.dead_reckoning,
+    )
+    replaced = _replaced(bag, names.outputs(set(inputs)))
+    notes = {NODE_NAME: render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME)}
+    monitor = HealthMonitor(parameters)
+    with BagWriter(arguments.out, arguments.storage, notes) as out:
+        copied = _announce(out, [t for t in bag.topics.values() if t.name not in replaced])
+        tf = names.of(messages.TF)
+        transforms = ReplayedTransforms(bag, out, parameters, tf) if arguments.tf else None
+        for record in with_progress(bag.records(), bag.message_count, "replay"):
+            if transforms is not None and record.topic == transforms.topic:
+                transforms.take(record)
+            elif record.topic in copied and not _is_own_diagnostics(bag, record):
+                out.write_raw(record)
+            for closed in take(localizer, bag, record, inputs):
+                output = (
+                    closed if transforms is None else transforms.located(closed, record.time_ns)
+                )
+                monitor.saw(output)
+                for topic, message in output_messages(output, parameters).items():
+                    out.write(names.of(topic), message, record.time_ns)
+        summary = monitor.summary()
+        if summary is None:
+            raise BagError(
+                f"bag '{arguments.bag}' gives no odom: expected encoders, fixes and a yaw "
+                f"that start the filter; {last_words(localizer)}"
+            )
+    if transforms is not None and transforms.not_copied:
+        print(
+            f"replay: {transforms.not_copied} transforms to {transforms.child} of {arguments.bag} "
+            "not copied: OUT gets new ones"
+        )
+    return summary
+
+
+def _replaced(bag: BagReader, outputs: set[str]) -> set[str]:
+    """Return the topics of which OUT gets no copies, and say which of them there are."""
+    replaced = set(outputs)
+    recorded = bag.topics.get(messages.DIAGNOSTICS)
+    if recorded is not None and recorded.type_name != messages.DIAGNOSTICS_TYPE:
+        replaced.add(messages.DIAGNOSTICS)
+    if old := sorted(replaced & bag.topics.keys()):
+        print(f"replay: {', '.join(old)} of {bag.path} not copied: OUT gets new ones")
+    return replaced
+
+
+def _found(summary: HealthSummary, bag: str) -> str:
+    """Return the parameter file with what was found; `bag` is the recording's name."""
+    found = found_parameters(summary)
+    head = [
+        f"Localizer parameters for the robot of {bag}.",
+        f"Found by replay: {', '.join(found)}.",
+        *(f"Check {text}." for text in checks(summary)),
+    ]
+    values = asdict(summary.parameters) | found
+    return render_parameter_file(LocalizerParameters, values, NODE_NAME, "\n".join(head))
 
 
 def _warm_start(parameters: LocalizerParameters) -> SavedState | None:
@@ -122,5 +210,7 @@ def _announce(out: BagWriter, topics: list[Topic]) -> set[str]:
 
 
 def _is_own_diagnostics(bag: BagReader, record: Record) -> bool:
-    """Return whether diagnostics are those of a localizer that ran when the bag was recorded."""
+    """Return whether a record is of a localizer that ran when the bag was recorded."""
+    if record.topic != messages.DIAGNOSTICS:
+        return False
     return any(status.hardware_id == NODE_NAME for status in bag.message(record).status)

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--storage", choices=STORAGES, default="mcap", help="storage format of the bag (mcap)"
     )
-    add_parameter_arguments(parser)
+    add_parameter_arguments(parser, FakeRobotParameters)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -16,6 +16,10 @@ from fnn_ekf_ros.timeline.events import InputCheck, Sensor, Wheel
 
 LAST_REFUSAL = "last refusal"
 """The key of the reason with which the last message of a sensor was refused."""
+FITTING = "parameter that would fit"
+"""The key of a parameter and the value with which a fault would be gone."""
+RECEIVED, REFUSED, LEFT_OUT, DROPPED = "received", "refused", "left out", "dropped"
+"""Keys of numbers of messages of a sensor; that of dropped ones is in the status `time`."""
 SEPARATOR = "; "
 """Between the messages of a status that has several; no message contains it."""
 
@@ -167,6 +171,11 @@ def fill(message: DiagnosticMessage, **names: str) -> str:
     for name, value in names.items():
         text = text.replace(f"<{name.replace('_', ' ')}>", value)
     return text
+
+
+def dropped_key(name: str) -> str:
+    """Return the key of the number of dropped messages of one input."""
+    return f"{DROPPED}, {name}"
 
 
 def join(messages: Iterable[str]) -> str:

@@ -28,6 +28,9 @@ from fnn_ekf_ros.diagnostics.lasting_words import YawOffset, doubtful_yaw, yaw_o
 from fnn_ekf_ros.diagnostics.late_stamps import LateStamps, late_stamps
 from fnn_ekf_ros.diagnostics.messages import (
     LAST_REFUSAL,
+    LEFT_OUT,
+    RECEIVED,
+    REFUSED,
     EncoderMessage,
     FilterMessage,
     InputMessage,
@@ -342,14 +345,14 @@ class DiagnosticsReport:
     def _counts(self, sensor: Sensor) -> Values:
         """Return the values of any sensor but for the age of its last message."""
         values: Values = (
-            ("received", str(self._heard[sensor].count)),
-            ("refused", str(self._refused[sensor])),
+            (RECEIVED, str(self._heard[sensor].count)),
+            (REFUSED, str(self._refused[sensor])),
         )
         if sensor in self._last_refusal:
             values += ((LAST_REFUSAL, self._last_refusal[sensor]),)
         if self._left_out[sensor]:
             values += (
-                ("left out", str(self._left_out[sensor])),
+                (LEFT_OUT, str(self._left_out[sensor])),
                 ("left out since the last report", str(self._newly_left_out[sensor])),
                 ("largest rate that is used [1/s]", f"{MOST_READINGS_A_SECOND:.0f}"),
             )

@@ -3,7 +3,9 @@
 
 """The status `time`: late, repeated and reordered messages, clocks that jump."""
 
-from fnn_ekf_ros.diagnostics.messages import TimeMessage, fill
+from collections import Counter
+
+from fnn_ekf_ros.diagnostics.messages import DROPPED, TimeMessage, dropped_key, fill
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.timeline.events import Level, Sensor, Status
 
@@ -12,7 +14,8 @@ class TimeStatus:
     """Counts late, repeated and reordered inputs, and jumps of the clock."""
 
     def __init__(self) -> None:
-        self._dropped = self._repeated = self._out_of_order = self._redone = self._restarts = 0
+        self._dropped: Counter[str] = Counter()
+        self._repeated = self._out_of_order = self._redone = self._restarts = 0
         self._overruns = self._pauses = 0
         self._new_trouble = self._new_jump = ""
         self._last_drop = self._last_jump = self._last_overrun = ""
@@ -25,8 +28,9 @@ class TimeStatus:
             sensor: whose it was; None for a pose that was set.
             delay_ns: the clock minus its stamp [ns].
         """
-        self._dropped += 1
-        self._new_trouble = fill(message, input=sensor or "initialpose")
+        name = sensor or "initialpose"
+        self._dropped[name] += 1
+        self._new_trouble = fill(message, input=name)
         self._last_drop = f"{delay_ns * 1e-9:.3f}"
 
     def repeated(self) -> None:
@@ -62,7 +66,8 @@ class TimeStatus:
     def status(self) -> Status:
         """Return the status; events since the last one decide its level."""
         values: Values = (
-            ("dropped", str(self._dropped)),
+            (DROPPED, str(self._dropped.total())),
+            *((dropped_key(name), str(count)) for name, count in self._dropped.items()),
             ("duplicates", str(self._repeated)),
             ("out of order", str(self._out_of_order)),
             ("periods run again for late inputs", str(self._redone)),

@@ -52,6 +52,10 @@ LIKELY_PART = 1.0
 size."""
 
 
+SIZE_KEYS = tuple(f"{wheel} wheel's distance against its counts [%]" for wheel in ("left", "right"))
+"""Keys of the sizes of the wheels."""
+
+
 class PeriodCorrection(NamedTuple):
     """Motion by the wheels in a period, or short ones together, and the filter's correction of it.
 
@@ -194,10 +198,8 @@ def size_messages(sizes: WheelSizes) -> list[str]:
 
 def size_values(sizes: WheelSizes) -> Values:
     """Return the numbers behind these messages."""
-    return (
-        ("left wheel's distance against its counts [%]", f"{-100.0 * sizes.left:+.0f}"),
-        ("right wheel's distance against its counts [%]", f"{-100.0 * sizes.right:+.0f}"),
-    )
+    parts = zip(SIZE_KEYS, (sizes.left, sizes.right), strict=True)
+    return tuple((key, f"{-100.0 * part:+.0f}") for key, part in parts)
 
 
 class _Equations(NamedTuple):

@@ -121,6 +121,7 @@ class BagReader:
         message_count: number of messages.
         start_ns: time of the first message [ns].
         duration_s: time between the first message and the last [s].
+        notes: texts in the bag's metadata by key, such as the parameters that made it.
 
     Raises:
         BagError: it does not exist, is truncated or is no bag.
@@ -136,6 +137,8 @@ class BagReader:
             self.start_ns = int(self._reader.start_time)
             self.duration_s = float(self._reader.duration) * 1e-9
             found = [_topic_of(connection) for connection in self._reader.connections]
+            custom = getattr(self._reader.storage.metadata, "custom", None) or {}
+            self.notes: Mapping[str, str] = {str(key): str(text) for key, text in custom.items()}
         except Exception as error:  # rosbags and its storages raise errors of many kinds
             self.close()
             raise self._broken(error) from None

@@ -89,6 +89,11 @@ class BagWriter:
             Record(topic=topic, type_name=message.type_name, time_ns=time_ns, data=bytes(data))
         )
 
+    def rewrite(self, record: Record, message: Any) -> None:
+        """Write a record with another message of its type, its fields as attributes."""
+        data = TYPESTORE.serialize_cdr(message, record.type_name)
+        self.write_raw(record._replace(data=bytes(data)))
+
     def write_raw(self, record: Record) -> None:
         """Write a record as it is.
 

@@ -25,6 +25,10 @@ TRUTH_COLUMNS = ("gt_x", "gt_y", "gt_theta")
 """Columns of the ground truth: x, y [m] and yaw [rad]."""
 FIX_COLUMNS = ("fix_x", "fix_y", "fix_theta")
 """Columns of the pose fixes: x, y [m] and yaw [rad]."""
+SIGMA_COLUMNS = ("sig_x", "sig_y", "sig_theta")
+"""Columns of the standard deviations of the fixes, in the order of `FIX_COLUMNS` [m, m, rad]."""
+CORRELATION_COLUMN = "rho_xy"
+"""Column of the correlation of the fixes' x and y."""
 TICK_TOPICS = (messages.LEFT_TICKS, messages.RIGHT_TICKS)
 """Topics of the encoder counts, left and right."""
 COMPASS_COLUMN = "heading_meas"
@@ -193,14 +197,15 @@ def _fixes(
     table: Table, columns: list[str], shift: float, parameters: LocalizerParameters
 ) -> Iterator[Timed]:
     poses = zip(table.column("t"), *map(table.column, columns), strict=True)
-    for index, (time, *pose) in enumerate(poses):
+    for (time, *pose), covariance in zip(poses, fix_covariances(table, columns), strict=True):
         if not all(map(math.isfinite, pose)):
             continue
         stamp_ns = _ns(time, shift)
-        covariance = messages.planar_covariance(_fix_covariance(table, index))
         fields = {
             "header": messages.header(stamp_ns, parameters.frame_id),
-            "pose": messages.pose_with_covariance(_with_yaw(pose), covariance),
+            "pose": messages.pose_with_covariance(
+                _with_yaw(pose), messages.planar_covariance(covariance)
+            ),
         }
         yield Timed(
             time_ns=stamp_ns,
@@ -210,17 +215,39 @@ def _fixes(
         )
 
 
-def _fix_covariance(table: Table, index: int) -> FloatArray:
-    """Return the covariance the fix came with, zeros if it came with none."""
-    names = ("sig_x", "sig_y", "sig_theta")
+def sigma_columns(table: Table, columns: Sequence[str]) -> list[str]:
+    """Return the columns of a table that tell the uncertainty of its fixes.
+
+    Args:
+        table: of the fixes.
+        columns: of x, y and, if there is one, yaw of the fixes; none without fixes.
+    """
+    named = (*SIGMA_COLUMNS[: len(columns)], CORRELATION_COLUMN) if columns else ()
+    return [name for name in named if name in table.columns]
+
+
+def fix_covariances(table: Table, columns: Sequence[str]) -> FloatArray:
+    """Return the covariance of each fix, `(n, 3, 3)` (m, m, rad); zeros where it came with none.
+
+    Fixes without a yaw need no standard deviation of it.
+
+    Args:
+        table: of the fixes.
+        columns: of x, y and, if there is one, yaw of the fixes.
+    """
+    rows = len(table.column("t"))
+    found = np.zeros((rows, 3, 3))
+    names = SIGMA_COLUMNS[: len(columns)]
     if not all(name in table.columns for name in names):
-        return np.zeros((3, 3))
-    sigma = np.array([table.columns[name][index] for name in names])
-    covariance = np.diag(sigma**2)
-    if "rho_xy" in table.columns:
-        covariance[0, 1] = table.columns["rho_xy"][index] * sigma[0] * sigma[1]
-        covariance[1, 0] = covariance[0, 1]
-    return covariance if usable_covariance(covariance) is not None else np.zeros((3, 3))
+        return found
+    sigmas = np.stack([table.columns[name] for name in names], axis=-1)
+    correlations = table.columns.get(CORRELATION_COLUMN, np.zeros(rows))
+    for index, (sigma, correlation) in enumerate(zip(sigmas, correlations, strict=True)):
+        covariance = np.diag(sigma**2)
+        covariance[0, 1] = covariance[1, 0] = correlation * sigma[0] * sigma[1]
+        if usable_covariance(covariance) is not None:
+            found[index, : len(names), : len(names)] = covariance
+    return found
 
 
 def _compass(

@@ -14,15 +14,15 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record
 from fnn_ekf_ros.timeline.events import Level, Output
 
+TOPICS = (*messages.INPUT_TYPES, *messages.output_topics(), messages.TF)
+"""The localizer's topics that can have another name in a recording."""
+
 
 class TopicNames:
     """Topic names of the localizer, remapped."""
 
     def __init__(self, remappings: list[str]) -> None:
-        known = {
-            messages.absolute_name(topic): topic
-            for topic in (*messages.INPUT_TYPES, *messages.output_topics())
-        }
+        known = {messages.absolute_name(topic): topic for topic in TOPICS}
         self._to: dict[str, str] = {}
         for text in remappings:
             source, separator, target = text.partition(":=")

@@ -1,15 +1,14 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Trajectories and position fixes in recordings."""
+"""Trajectories in recordings."""
 
 import numpy as np
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader
-from fnn_ekf_ros.recordings.scoring import Trajectory
+from fnn_ekf_ros.timeline.trajectory import Trajectory
 
 
 def read_trajectory(bag: BagReader, topic: str) -> Trajectory:
@@ -18,8 +17,9 @@ def read_trajectory(bag: BagReader, topic: str) -> Trajectory:
     Raises:
         BagError: no such topic, another type, or no message.
     """
-    _check_topic(bag, topic, messages.ODOMETRY_TYPE)
+    check_topic(bag, topic, messages.ODOMETRY_TYPE)
     stamps, poses, covariances = [], [], []
+    frame = ""
     for record in bag.records({topic}):
         message = bag.message(record)
         stamps.append(messages.stamp_ns(message))
@@ -31,34 +31,24 @@ def read_trajectory(bag: BagReader, topic: str) -> Trajectory:
             )
         poses.append(pose)
         covariances.append(messages.planar_block(message.pose.covariance))
+        frame = str(message.header.frame_id)
     if not stamps:
         raise BagError(f"bag '{bag.path}': topic {topic} is empty")
     time_ns, first = np.unique(np.array(stamps), return_index=True)
     return Trajectory(
-        time_ns=time_ns, pose=np.array(poses)[first], covariance=np.array(covariances)[first]
+        time_ns=time_ns,
+        pose=np.array(poses)[first],
+        covariance=np.array(covariances)[first],
+        frame=frame,
     )
 
 
-def read_fixes(bag: BagReader, asked: str | None) -> FloatArray:
-    """Return the positions `(n, 2)` of pose fixes [m].
-
-    Args:
-        bag: the recording.
-        asked: the topic that was asked for; None for `lrf_pose`, if the recording has it.
+def check_topic(bag: BagReader, topic: str, type_name: str) -> None:
+    """Check that a recording has a topic of a type.
 
     Raises:
-        BagError: the topic that was asked for is missing or of another type.
+        BagError: it is missing or of another type.
     """
-    topic = asked or messages.absolute_name(messages.LRF_POSE)
-    if asked is not None:
-        _check_topic(bag, topic, messages.POSE_TYPE)
-    elif topic not in bag.topics or bag.topics[topic].type_name != messages.POSE_TYPE:
-        return np.zeros((0, 2))
-    fixes = [messages.planar_pose(bag.message(record))[:2] for record in bag.records({topic})]
-    return np.array(fixes).reshape(-1, 2)
-
-
-def _check_topic(bag: BagReader, topic: str, type_name: str) -> None:
     found = bag.topics.get(topic)
     if found is None or found.type_name != type_name:
         kind = "missing" if found is None else f"of type {found.type_name}"

@@ -11,8 +11,9 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
-from fnn_ekf_ros.recordings.scoring import Trajectory, interpolate, pose_errors
+from fnn_ekf_ros.recordings.run_record import Fixes
 from fnn_ekf_ros.reports.pictures import new_figure, save, shown_text
+from fnn_ekf_ros.timeline.trajectory import Trajectory, interpolate, pose_errors
 
 SIGMAS = 2.0
 """Half width of the bands, in the filter's standard deviations."""
@@ -56,6 +57,11 @@ class Run(NamedTuple):
     estimate: Trajectory
     truth: Trajectory
     fixes: FloatArray
+
+
+def positions(fixes: Fixes | None) -> FloatArray:
+    """Return the positions `(n, 2)` of fixes [m]; none where there are none."""
+    return np.zeros((0, 2)) if fixes is None else fixes.pose[:, :2]
 
 
 def plot_tracks(path: Path, runs: Mapping[str, Run], highlight: str | None = None) -> None:
@@ -162,7 +168,7 @@ def band_polygons(estimate: Trajectory) -> FloatArray:
     angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     d = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     with np.errstate(all="ignore"):
-        spread = _credible(np.einsum("ki,nij,kj->nk", d, P, d))
+        spread = credible(np.einsum("ki,nij,kj->nk", d, P, d))
     known = np.all(np.isfinite(spread), axis=1) & np.all(np.isfinite(center), axis=1)
     center, P, std = center[known], P[known], np.sqrt(spread[known])
     corner = center[:, None] + SIGMAS * np.einsum("nij,kj->nki", P, d) / std[..., None]
@@ -186,7 +192,7 @@ def _draw_errors(
         seconds = (run.estimate.time_ns - run.truth.time_ns[0]) * 1e-9
         error = errors[name][:, axis]
         axes.plot(seconds, error, label=_text(name), **_style(name, runs, highlight))
-        claim = _claimed(run.estimate, axis)
+        claim = claimed(run.estimate.covariance, axis)
         if name == highlight:
             axes.fill_between(
                 seconds, -claim, claim, color=HIGHLIGHT_COLOR, alpha=0.25, lw=0.0, zorder=3.5,
@@ -211,12 +217,12 @@ def _errors(run: Run) -> FloatArray:
     return pose_errors(run.estimate.pose, interpolate(run.truth, run.estimate.time_ns))
 
 
-def _claimed(estimate: Trajectory, axis: int) -> FloatArray:
-    """Return the half width of a run's band `(n,)`; NaN where it claims nothing."""
-    return SIGMAS * np.sqrt(_credible(estimate.covariance[:, axis, axis]))
+def claimed(covariance: FloatArray, axis: int) -> FloatArray:
+    """Return the half width of a coordinate's band `(n,)`; NaN where nothing is claimed."""
+    return SIGMAS * np.sqrt(credible(covariance[:, axis, axis]))
 
 
-def _credible(variance: FloatArray) -> FloatArray:
+def credible(variance: FloatArray) -> FloatArray:
     """Return variances, NaN in place of those that are outside of `CLAIMS`."""
     low, high = np.square(CLAIMS)
     found: FloatArray = np.where((variance >= low) & (variance <= high), variance, np.nan)

@@ -1,42 +1,49 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Scores of trajectories as a table and as JSON."""
+"""Errors against the ground truth as tables of text."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 
-from fnn_ekf_ros.recordings.scoring import Score
+from fnn_ekf_ros.evaluation.evaluation import STATE_DEGREES, AgainstTruth, number
 
 _ROW = "{:<28} {:>7} {:>9} {:>9} {:>11} {:>13} {:>9}"
-"""Format of a row of the table."""
+"""Format of a row of the first table."""
+_MORE = "{:<28} {:>9} {:>9} {:>11} {:>13} {:>13} {:>9} {:>9}"
+"""Format of a row of the second table."""
 
 
-def format_table(scores: Mapping[str, Score]) -> str:
-    """Return the scores as a table, one line for each run."""
+def format_table(found: Mapping[str, AgainstTruth]) -> str:
+    """Return root mean squares and mean NEES as a table, one line for each run."""
     lines = [
         _ROW.format("run", "odoms", "RMSE x", "RMSE y", "RMSE theta", "RMSE position", "mean NEES"),
-        _ROW.format("", "", "[m]", "[m]", "[rad]", "[m]", "(3)"),
+        _ROW.format("", "", "[m]", "[m]", "[rad]", "[m], ATE", f"({STATE_DEGREES})"),
     ]
-    lines += [
-        _ROW.format(label, s.count, *_texts(s.rmse_x, s.rmse_y, s.rmse_theta, s.rmse_position),
-                    "n/a" if math.isnan(s.mean_nees) else f"{s.mean_nees:.2f}")
-        for label, s in scores.items()
-    ]  # fmt: skip
+    for label, each in found.items():
+        e, nees = each.errors, STATE_DEGREES * each.nees.ratio
+        sizes = _texts(e.x.rmse, e.y.rmse, e.yaw.rmse, e.position.rmse)
+        lines.append(
+            _ROW.format(label, e.poses, *sizes, "n/a" if math.isnan(nees) else number(nees))
+        )
+    return "\n".join(lines)
+
+
+def format_more(found: Mapping[str, AgainstTruth]) -> str:
+    """Return largest and median errors and relative ones as a table, one line for each run."""
+    (delta,) = {str(each.relative.delta) for each in found.values()}
+    lines = [
+        _MORE.format("run", "max x", "max y", "max theta", "max position", "median", "RPE", "RPE"),
+        _MORE.format("", "[m]", "[m]", "[rad]", "[m]", "position [m]", f"{delta} [m]", "[rad]"),
+    ]
+    for label, each in found.items():
+        e, relative = each.errors, each.relative
+        sizes = (e.x.max, e.y.max, e.yaw.max, e.position.max, e.position.median)
+        lines.append(
+            _MORE.format(label, *_texts(*sizes, relative.translation.rmse, relative.rotation.rmse))
+        )
     return "\n".join(lines)
 
 
 def _texts(*values: float) -> Sequence[str]:
     return ["n/a" if math.isnan(value) else f"{value:.4f}" for value in values]
-
-
-def plain_scores(scores: Mapping[str, Score]) -> dict[str, dict[str, float | None]]:
-    """Return the scores as JSON can hold them; null where a number is not known."""
-    return {
-        label: {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in asdict(s).items()
-        }
-        for label, s in scores.items()
-    }

@@ -32,7 +32,6 @@ from fnn_ekf_ros.core.results import Epoch
 from fnn_ekf_ros.core.rows import FIX_ROWS, POSITION_ROWS
 from fnn_ekf_ros.core.state import FilterModel, start_filter
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.simulation.delivery import STEP_NS
 from fnn_ekf_ros.simulation.paths import scripted_path
 from fnn_ekf_ros.simulation.reading_times import ReadingTimes
@@ -46,6 +45,7 @@ from fnn_ekf_ros.simulation.robot import (
 )
 from fnn_ekf_ros.study.recording import Estimates, Start, of_runs
 from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Drive
+from fnn_ekf_ros.timeline.trajectory import pose_errors
 
 TimeArray = NDArray[np.int64]
 """Array of times [ns]."""

@@ -21,7 +21,6 @@ from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.simulation.robot import STEP_S
 from fnn_ekf_ros.study.filters import EKF, JOINT, localizer_models
 from fnn_ekf_ros.study.instants import (
@@ -36,6 +35,7 @@ from fnn_ekf_ros.study.rivals import plain_ekf
 from fnn_ekf_ros.study.scenarios import NOMINAL_MEASUREMENT_NOISE, Drive
 from fnn_ekf_ros.study.scores import compare
 from fnn_ekf_ros.study.starts import CORNERS, RIGHT, starts_at
+from fnn_ekf_ros.timeline.trajectory import pose_errors
 
 PATH = "round"
 """Name of the path that is driven."""

@@ -33,7 +33,6 @@ from fnn_ekf_ros.localizer.history import LearnedState
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.recordings.scoring import pose_errors
 from fnn_ekf_ros.study.filters import SMALLEST_WINDOW
 from fnn_ekf_ros.study.recording import Start
 from fnn_ekf_ros.study.scores import LOST_FACTOR
@@ -42,6 +41,7 @@ from fnn_ekf_ros.timeline.filter_model import filter_model
 from fnn_ekf_ros.timeline.initialization import AwaitingStart, wait
 from fnn_ekf_ros.timeline.inputs import PeriodInputs
 from fnn_ekf_ros.timeline.period import Period, run_period, state_at_begin
+from fnn_ekf_ros.timeline.trajectory import pose_errors
 
 POSITION_SIZE = 2
 """Number of components of an error whose yaw is not known: x and y."""

@@ -14,7 +14,6 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader
 from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in, last_words, take
-from fnn_ekf_ros.recordings.scoring import interpolate
 from fnn_ekf_ros.recordings.trajectories import read_trajectory
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.study.ablations import RealFilter, real_filters
@@ -35,6 +34,7 @@ from fnn_ekf_ros.study.starts import ALL_CELLS
 from fnn_ekf_ros.study.taught import Teacher, taught_by
 from fnn_ekf_ros.timeline.initialization import AwaitingStart
 from fnn_ekf_ros.timeline.period import Period
+from fnn_ekf_ros.timeline.trajectory import interpolate
 
 
 class RealRecording(NamedTuple):

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray
-from fnn_ekf_ros.recordings.scoring import pose_errors
-from fnn_ekf_ros.study.intervals import (
+from fnn_ekf_ros.evaluation.intervals import (
     Interval,
     chi_square_band,
     mean_interval,
     root_ratio_interval,
 )
 from fnn_ekf_ros.study.recording import Estimates
+from fnn_ekf_ros.timeline.trajectory import pose_errors
 
 LOST_FACTOR = 10.0
 """Largest position error of a run that has not diverged, in multiples of the oracle's RMS error."""

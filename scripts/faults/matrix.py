@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from faults.scenarios import END_S, LASTS_S, ONSET_S, FaultScenario, Remark, Run
-from fnn_ekf_ros.recordings.scoring import Score, Trajectory, interpolate, score
+from fnn_ekf_ros.evaluation.evaluation import STATE_DEGREES, against_truth
 from fnn_ekf_ros.timeline.events import Level
+from fnn_ekf_ros.timeline.trajectory import Trajectory, interpolate
 
 SETTLED_S = 15.0
 """Robot time from which on the time before a fault is evaluated [s]: the start is as bad as a
@@ -84,11 +85,12 @@ def window(run: Run, begin_s: float, end_s: float) -> Window:
         pose=run.odom.pose[inside],
         covariance=run.odom.covariance[inside],
     )
-    found: Score | None = score(part, run.truth)
+    found = against_truth(part, run.truth)
     if found is None:
         return Window(rmse=math.nan, largest=math.nan, nees=math.nan)
     largest = float(np.nanmax(position_error(part, run.truth)))
-    return Window(rmse=found.rmse_position, largest=largest, nees=found.mean_nees)
+    nees = STATE_DEGREES * found.nees.ratio
+    return Window(rmse=found.errors.position.rmse, largest=largest, nees=nees)
 
 
 def position_error(odom: Trajectory, truth: Trajectory) -> NDArray[np.float64]:

@@ -21,8 +21,8 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.fault_files import faults_from
 from fnn_ekf_ros.parameters.faults import ClockJump, Fault
 from fnn_ekf_ros.recordings.bag_files import BagReader
-from fnn_ekf_ros.recordings.scoring import Trajectory
 from fnn_ekf_ros.timeline.events import Level
+from fnn_ekf_ros.timeline.trajectory import Trajectory
 
 SWITCHED_ON_S, ONSET_S, LASTS_S, END_S = 5.0, 30.0, 20.0, 90.0
 """Robot times at which the sensors begin, so that all runs begin alike however soon their processes

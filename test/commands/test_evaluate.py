@@ -16,6 +16,7 @@ import pytest
 from commands import Refuse, Succeed, parameters_of, table_rows
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.cli import run_command
 from fnn_ekf_ros.recordings.bag_files import BagReader
 from fnn_ekf_ros.recordings.bag_writer import BagWriter
 
@@ -247,3 +248,142 @@ def test_labels_in_any_script_and_in_none(tmp_path: Path, succeed: Succeed) -> N
     succeed("evaluate", tmp_path / "bag", tmp_path / "bag", *words, "--labels", *labels)
     assert list(json.loads((tmp_path / "x.json").read_text())) == ["\ufffd", labels[1]]
     assert (tmp_path / "p.png").stat().st_size > 10000
+
+
+@pytest.fixture(scope="module")
+def replayed(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A replay of the recording, with its ground truth."""
+    out = tmp_path_factory.mktemp("replayed") / "out"
+    words = ["replay", recorded, out, "--params", parameters_of(recorded)]
+    assert run_command(words[0], [str(word) for word in words[1:]]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def without_truth(replayed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same without the ground truth."""
+    out = tmp_path_factory.mktemp("without_truth") / "out"
+    with BagReader(replayed) as bag, BagWriter(out, notes=bag.notes) as copy:
+        for record in bag.records(set(bag.topics) - {"/ground_truth"}):
+            copy.write_raw(record)
+    return out
+
+
+@pytest.mark.slow
+def test_verdicts_are_printed_and_in_the_json(
+    tmp_path: Path, replayed: Path, succeed: Succeed
+) -> None:
+    said = succeed("evaluate", replayed, "--labels", "run", "--json", tmp_path / "x.json")
+    found = json.loads((tmp_path / "x.json").read_text())["run"]
+    for key, name in (("nees", "NEES"), ("nees_position", "NEES of position"), ("nis", "NIS")):
+        (line,) = [line for line in said.splitlines() if line.startswith(f"run: {name}: ")]
+        assert found[key]["verdict"] in line
+        assert f"{found[key]['mean']:.2f}" in line
+        low, high = found[key]["band"]
+        assert low < found[key]["expected"] < high
+    assert set(found["sensors"]) == {"fixes", "compass"}
+    assert found["nees"]["mean"] == pytest.approx(found["mean_nees"])
+    assert found["ate"]["rmse"] == found["rmse_position"]
+    assert found["rpe"]["delta"] == "1 m"
+    assert found["warnings"] == []
+    assert found["odom"] == found["count"] > 35
+    assert found["corrections"]["max"] >= found["corrections"]["rms"] > 0.0
+    assert found["worst_status"]["level"] == 1
+
+
+@pytest.mark.slow
+def test_alignment_undoes_a_motion_and_the_warning_stays(
+    tmp_path: Path, replayed: Path, succeed: Succeed
+) -> None:
+    moved = tmp_path / "moved"
+    with BagReader(replayed) as bag, BagWriter(moved) as out:
+        for record in bag.records({"/odom", "/ground_truth"}):
+            if record.topic == "/odom":
+                out.write_raw(record)
+                continue
+            x, y, yaw = messages.planar_pose(bag.message(record))
+            pose = np.array([5.0 - y, 3.0 + x, yaw + 0.5 * math.pi])
+            truth = messages.odometry_message(
+                messages.stamp_ns(bag.message(record)), "map", "base_link", pose, np.zeros(2),
+                np.zeros((6, 6)), np.zeros((6, 6)),
+            )  # fmt: skip
+            out.write("/ground_truth", truth, record.time_ns)
+    plain = table_rows(succeed("evaluate", replayed, "--labels", "run"))["run"]
+    said = succeed("evaluate", moved, "--labels", "run")
+    assert "another frame or map: odom turned by 1.5" in said
+    assert float(table_rows(said)["run"][4]) > 1.0
+    aligned = succeed("evaluate", moved, "--labels", "run", "--align", "se2")
+    assert float(table_rows(aligned)["run"][4]) <= float(plain[4]) + 1e-4
+    assert "another frame or map" in aligned
+    origin = table_rows(succeed("evaluate", moved, "--labels", "run", "--align", "origin"))
+    assert float(origin["run"][4]) < 1.0
+
+
+@pytest.mark.slow
+def test_tracks_are_written_for_others(tmp_path: Path, replayed: Path, succeed: Succeed) -> None:
+    words = ["--labels", "a/b c", "--tum", tmp_path / "tum", "--kitti", tmp_path / "kitti"]
+    said = succeed("evaluate", replayed, *words)
+    (row,) = [line for line in said.splitlines() if line.startswith("a/b c  ")][:1]
+    count = int(row.split()[2])
+    tum = (tmp_path / "tum" / "a_b_c_odom.tum").read_text().splitlines()
+    with BagReader(replayed) as bag:
+        assert len(tum) == bag.topics["/odom"].message_count
+        first = bag.message(next(bag.records({"/odom"})))
+    assert float(tum[0].split()[0]) == pytest.approx(messages.stamp_ns(first) * 1e-9)
+    kitti = [(tmp_path / "kitti" / f"a_b_c_{name}.kitti").read_text() for name in ("odom", "truth")]
+    assert [text.count("\n") for text in kitti] == [count, count]
+    assert all(len(line.split()) == 12 for text in kitti for line in text.splitlines())
+
+
+@pytest.mark.slow
+def test_a_report_without_a_ground_truth(
+    tmp_path: Path, without_truth: Path, succeed: Succeed, refuse: Refuse
+) -> None:
+    """With one: `test/reports/test_page.py`."""
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("jinja2")
+    assert "topic /ground_truth is missing" in refuse("evaluate", without_truth)
+    (tmp_path / "found.json").write_text('["the left wheel is 3 % larger"]')
+    words = ["--report", tmp_path / "x.html", "--findings", tmp_path / "found.json"]
+    said = succeed("evaluate", without_truth, *words)
+    assert "no ground truth (/ground_truth), so no errors" in said
+    assert "NIS of fixes" in said
+    assert "NEES" not in said
+    page = (tmp_path / "x.html").read_text()
+    assert "<h2>Uncertainty</h2>" in page
+    assert "<td>wheel_separation</td>" in page  # from the bag's metadata
+    assert "the left wheel is 3 % larger" in page
+
+
+def test_reports_that_cannot_be_made_are_refused(
+    tmp_path: Path, recorded: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    page = tmp_path / "x.html"
+    words = ["--odom-topic", "/ground_truth"]
+    line = refuse("evaluate", recorded, *words, "--report", tmp_path / "x.txt")
+    assert "a name that ends in .html" in line
+    line = refuse("evaluate", recorded, recorded, *words, "--labels", "a", "b", "--report", page)
+    assert "2 bags, expected one" in line
+    assert "expected --report" in refuse("evaluate", recorded, *words, "--findings", "x.json")
+    line = refuse("evaluate", recorded, "--report", page, "--truth-topic", "/no")
+    assert "topic /odom is missing" in line or "topic /no is missing" in line
+    line = refuse("evaluate", recorded, *words, "--tum", recorded / "files")
+    assert "is a bag's folder" in line
+    assert "--rpe 3k: expected a length" in refuse("evaluate", recorded, *words, "--rpe", "3k")
+    same = ["--labels", "a b", "a_b", "--tum", tmp_path / "t"]
+    assert "different file names" in refuse("evaluate", recorded, recorded, *words, *same)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert "reports need jinja2" in refuse("evaluate", recorded, *words, "--report", page)
+
+
+def test_a_track_that_stands_still_cannot_be_aligned(tmp_path: Path, refuse: Refuse) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(20):
+            for topic in ("/odom", "/ground_truth"):
+                message = messages.odometry_message(
+                    number * 10**9, "map", "base_link", np.zeros(3), np.zeros(2), np.eye(6),
+                    np.eye(6),
+                )  # fmt: skip
+                bag.write(topic, message, number * 10**9)
+    assert "stands still" in refuse("evaluate", tmp_path / "bag", "--align", "se2")

@@ -15,8 +15,9 @@ from places import BAGS, RECORDINGS, needs_recordings
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.cli import run_command
+from fnn_ekf_ros.evaluation.errors import TrackErrors
+from fnn_ekf_ros.evaluation.evaluation import against_truth
 from fnn_ekf_ros.recordings.bag_files import BagReader
-from fnn_ekf_ros.recordings.scoring import Score, score
 from fnn_ekf_ros.recordings.trajectories import read_trajectory
 from fnn_ekf_ros.ros.record import Recorder
 
@@ -36,9 +37,9 @@ def played(
     bag: Path,
     options: list[str],
     topics: list[str],
-    offline: Score,
+    offline: TrackErrors,
     rate: int = 10,
-) -> Score:
+) -> TrackErrors:
     """Play a bag with ticks into a live localizer and score its odom.
 
     Ticks are stamped on arrival: a stall of the machine shifts them against the fixes by its length
@@ -57,13 +58,13 @@ def played(
     return live
 
 
-def same(live: Score, offline: Score) -> bool:
+def same(live: TrackErrors, offline: TrackErrors) -> bool:
     """Return whether live and replay agree but for when ticks arrived."""
-    return live.count >= 0.9 * offline.count and all(
+    return live.poses >= 0.9 * offline.poses and all(
         a == pytest.approx(b, rel=0.05, nan_ok=True)
         for a, b in (
-            (live.rmse_position, offline.rmse_position),
-            (live.rmse_theta, offline.rmse_theta),
+            (live.position.rmse, offline.position.rmse),
+            (live.yaw.rmse, offline.yaw.rmse),
         )
     )
 
@@ -100,14 +101,15 @@ def play_once(
             recorder.spin_once(0.05)
 
 
-def scored(estimate: Path, truth: Path) -> Score:
+def scored(estimate: Path, truth: Path) -> TrackErrors:
     with BagReader(estimate) as live, BagReader(truth) as recorded:
-        result = score(read_trajectory(live, "/odom"), read_trajectory(recorded, "/ground_truth"))
+        track, true = read_trajectory(live, "/odom"), read_trajectory(recorded, "/ground_truth")
+    result = against_truth(track, true)
     assert result is not None
-    return result
+    return result.errors
 
 
-def replayed(processes: Any, bag: Path, options: list[str]) -> Score:
+def replayed(processes: Any, bag: Path, options: list[str]) -> TrackErrors:
     out = processes.folder / "replayed"
     done = processes.run("replay", bag, out, *options)
     assert done.returncode == 0, done.stderr
@@ -154,9 +156,9 @@ def test_live_equals_replay_with_ticks(
         processes, patiently, drive, ["--params-file", f"{drive}.yaml", *options],
         ["compass", "lrf_pose", "left_ticks", "right_ticks"], offline, 8,
     )  # fmt: skip
-    assert live.count >= 0.9 * offline.count
-    assert live.rmse_position == pytest.approx(offline.rmse_position, rel=0.05)
-    assert live.rmse_theta == pytest.approx(offline.rmse_theta, rel=0.05)
+    assert live.poses >= 0.9 * offline.poses
+    assert live.position.rmse == pytest.approx(offline.position.rmse, rel=0.05)
+    assert live.yaw.rmse == pytest.approx(offline.yaw.rmse, rel=0.05)
 
 
 @needs_recordings
@@ -192,8 +194,8 @@ def test_live_equals_replay_on_a_real_robot(
         ["left_ticks", "right_ticks", "lrf_pose"], offline,
     )  # fmt: skip
     print(f"{name}: live {live}, offline {offline}")
-    assert offline.rmse_position <= worst_position
-    assert live.rmse_position == pytest.approx(offline.rmse_position, rel=0.05)
+    assert offline.position.rmse <= worst_position
+    assert live.position.rmse == pytest.approx(offline.position.rmse, rel=0.05)
 
 
 @pytest.mark.parametrize(

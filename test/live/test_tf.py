@@ -4,6 +4,7 @@
 """The pose on /tf, with a tf2_msgs from a ROS installation or built for these tests."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.messages import Message
+from fnn_ekf_ros.recordings.bag_files import BagReader, Topic
+from fnn_ekf_ros.recordings.bag_writer import BagWriter
 from fnn_ekf_ros.ros import localizer as localizer_module
 
 pytestmark = pytest.mark.live
@@ -126,6 +130,50 @@ def test_the_transform_to_odom_completes_somebody_elses(tf2_msgs: None, bench: M
             matrix(planar(transform)) @ matrix(moved), matrix(messages.planar_pose(odom)),
             atol=1e-9,
         )  # fmt: skip
+
+
+def test_replay_writes_the_numbers_that_the_node_publishes(
+    tf2_msgs: None, bench: MakeBench, tmp_path: Path, succeed: Callable[..., str]
+) -> None:
+    """The same wheel odometry, before and after the periods, to the node and in a recording."""
+    opened = bench(*NAV2)
+    tree = Tree(opened)
+    tree.connect()
+    tree.drive(9)
+    opened.spin_until(lambda: len(tree.odom) >= 9, "odom")
+    odometry = [(5 * S, [3.0, -1.0, 3.0]), (7 * S, [3.7, -1.1, -2.9]), (9 * S, [4.0, -2.0, -2.0])]
+    for stamp_ns, pose in odometry:
+        tree.publish(stamp_ns, pose)
+    opened.spin_until(lambda: len(tree.of_the_localizer()) >= 8, "the transforms")
+
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic(Topic("/lrf_pose", messages.POSE_TYPE, 0))
+        for topic in ("/left_ticks", "/right_ticks"):
+            bag.write(topic, Message(messages.TICKS_TYPE, {"data": 0}), 5 * S)
+        for second in range(6, 10):
+            clock = Message(messages.CLOCK_TYPE, {"clock": messages.time(second * S)})
+            bag.write("/clock", clock, second * S)
+        for stamp_ns, pose in odometry:
+            sent = messages.transform_message(stamp_ns, "odom", "base_link", np.array(pose))
+            bag.write("/tf", sent, 9 * S)
+    geometry = (
+        "wheel_radius:=0.025", "wheel_separation:=0.6", "encoder_counts_per_revolution:=500.0",
+    )  # fmt: skip
+    words = [word for text in geometry for word in ("-p", text)]
+    succeed("replay", tmp_path / "bag", tmp_path / "out", *words, *NAV2, "--tf")
+    with BagReader(tmp_path / "out") as replayed:
+        made = [
+            entry
+            for record in replayed.records({"/tf"})
+            for entry in replayed.message(record).transforms
+            if entry.header.frame_id == "map"
+        ]
+    published = tree.of_the_localizer()
+    assert len(made) == len(published)
+    for one, other in zip(made, published, strict=True):
+        assert messages.stamp_ns(one) == messages.stamp_ns(other)
+        assert one.child_frame_id == other.child_frame_id == "odom"
+        np.testing.assert_array_equal(planar(one), planar(other))
 
 
 def test_odometry_that_never_comes_is_said(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import Succeed
+from commands import Succeed, table_rows
 from places import RECORDINGS, needs_recordings
 
 from fnn_ekf_ros import messages
@@ -59,7 +59,9 @@ def test_brenner_with_positions_for_truth(tmp_path: Path, succeed: Succeed) -> N
     said = succeed("evaluate", tmp_path / "out", "--labels", "it", "--json", tmp_path / "it.json")
     scores = json.loads((tmp_path / "it.json").read_text())["it"]
     assert scores["rmse_theta"] is None
-    assert said.splitlines()[-1].split()[4] == "n/a"
+    assert table_rows(said)["it"][3] == "n/a"
+    assert "it: NEES: not known" in said
+    assert "it: NEES of position: " in said
     assert scores["count"] > 130
     assert math.isfinite(scores["rmse_position"])
     assert scores["rmse_position"] < 0.15

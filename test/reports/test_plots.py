@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fnn_ekf_ros.recordings.scoring import Trajectory
+from fnn_ekf_ros.timeline.trajectory import Trajectory
 
 pytest.importorskip("matplotlib")
 from fnn_ekf_ros.reports.plots import HIGHLIGHT_COLOR, Run, band_polygons, draw_tracks, plot_tracks

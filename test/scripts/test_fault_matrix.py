@@ -18,8 +18,8 @@ from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.faults import ClockJump
 from fnn_ekf_ros.recordings.bag_writer import BagWriter
-from fnn_ekf_ros.recordings.scoring import Trajectory
 from fnn_ekf_ros.timeline.events import Level, Status
+from fnn_ekf_ros.timeline.trajectory import Trajectory
 
 KIDNAP = FaultScenario(
     "kidnap", "carried", ({"fault": "kidnap", "start": 30.0, "move": [1, 0, 0]},)

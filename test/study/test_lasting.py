@@ -16,9 +16,9 @@ from drives import TRUE_Q, TRUE_R
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.motion import MotionModel, move
+from fnn_ekf_ros.evaluation.intervals import chi_square_band
 from fnn_ekf_ros.study import lasting, lasting_runs
 from fnn_ekf_ros.study.filters import EKF_GATED, JOINT, ORACLE, study_filters
-from fnn_ekf_ros.study.intervals import chi_square_band
 from fnn_ekf_ros.study.lasting import (
     CASES,
     CELLS,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.study.intervals import (
+from fnn_ekf_ros.evaluation.intervals import (
     chi_square_band,
     mean_interval,
     root_ratio_interval,

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
+from fnn_ekf_ros.evaluation.intervals import Interval
 from fnn_ekf_ros.membership.files import read_membership
 from fnn_ekf_ros.study import grid, paper
-from fnn_ekf_ros.study.intervals import Interval
 from fnn_ekf_ros.study.report.words import dynamic_words, grid_words, membership_words, paper_words
 from fnn_ekf_ros.study.scores import Score
 from fnn_ekf_ros.study.starts import RIGHT, Cell

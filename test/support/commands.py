@@ -29,5 +29,6 @@ def parameters_of(bag: Path) -> Path:
 
 
 def table_rows(out: str) -> dict[str, list[str]]:
-    """Return the numbers of the table that evaluate prints, by label."""
-    return {line.split()[0]: line.split()[1:] for line in out.splitlines()[2:]}
+    """Return the numbers of the first table that evaluate prints, by label."""
+    rows = out.partition("\n\n")[0].splitlines()[2:]
+    return {line.split()[0]: line.split()[1:] for line in rows}

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
-from fnn_ekf_ros.study.intervals import Interval, mean_interval, root_ratio_interval
+from fnn_ekf_ros.evaluation.intervals import Interval, mean_interval, root_ratio_interval
 from fnn_ekf_ros.study.rates import (
     CELLS,
     COMMON_S,

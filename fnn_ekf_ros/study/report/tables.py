@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.evaluation.intervals import Interval
 from fnn_ekf_ros.study import dynamic, grid, paper
-from fnn_ekf_ros.study.intervals import Interval
 from fnn_ekf_ros.study.scores import LOST_FACTOR, Score
 from fnn_ekf_ros.study.starts import FACTORS, RIGHT, Cell
 from fnn_ekf_ros.study.trials import Outcome

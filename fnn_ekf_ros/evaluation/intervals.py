@@ -12,7 +12,7 @@ from fnn_ekf_ros.core.arrays import FloatArray
 
 CONFIDENCE = 0.95
 """Confidence level of all intervals."""
-_Z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
+CONFIDENCE_Z = NormalDist().inv_cdf(0.5 + 0.5 * CONFIDENCE)
 """Quantile of the normal distribution at that level."""
 
 
@@ -35,7 +35,7 @@ def student_t(degrees_of_freedom: int) -> float:
 
     Cornish and Fisher's expansion in 1/nu (Abramowitz and Stegun 1964, eq. 26.7.5).
     """
-    z, nu = _Z, float(degrees_of_freedom)
+    z, nu = CONFIDENCE_Z, float(degrees_of_freedom)
     terms = (
         z,
         (z**3 + z) / 4.0,
@@ -53,7 +53,7 @@ def chi_square_band(degrees_of_freedom: FloatArray) -> tuple[FloatArray, FloatAr
     0.2 % from 50 degrees of freedom on.
     """
     spread = 2.0 / (9.0 * degrees_of_freedom)
-    low, high = ((1.0 - spread + side * _Z * spread**0.5) ** 3 for side in (-1.0, 1.0))
+    low, high = ((1.0 - spread + side * CONFIDENCE_Z * spread**0.5) ** 3 for side in (-1.0, 1.0))
     return low, high
 
 
