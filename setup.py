@@ -19,6 +19,7 @@ COMMANDS = {
     "play": "play",
     "replay": "replay",
     "import-csv": "import_csv",
+    "doctor": "doctor",
     "evaluate": "evaluate",
     "compare": "compare",
     "train": "train",

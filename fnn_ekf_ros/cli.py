@@ -93,6 +93,15 @@ COMMANDS = {
             "run.csv run --geometry run.json --fix-columns gps_x gps_y --compass-column yaw",
         ),
     ),
+    "doctor": Command(
+        "fnn_ekf_ros.commands.doctor",
+        "what a bag holds, and what is wrong with the robot in it",
+        (
+            "my_bag",
+            "my_bag --params my_robot.yaml -r lrf_pose:=/amcl_pose",
+            "my_bag --params my_robot.yaml --json found.json --write-params mended.yaml",
+        ),
+    ),
     "evaluate": Command(
         "fnn_ekf_ros.commands.evaluate",
         "errors of a run, whether it is honest, and a report",
@@ -273,6 +282,7 @@ simulate = functools.partial(run_command, "simulate")
 play = functools.partial(run_command, "play")
 replay = functools.partial(run_command, "replay")
 import_csv = functools.partial(run_command, "import-csv")
+doctor = functools.partial(run_command, "doctor")
 evaluate = functools.partial(run_command, "evaluate")
 compare = functools.partial(run_command, "compare")
 train = functools.partial(run_command, "train")

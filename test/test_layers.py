@@ -34,6 +34,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "stopping": set(),
     "version": set(),
     "core": set(),
+    "calibration": {"core"},
     "files": {"errors"},
     "parameters": {"core", "errors", "files"},
     "membership": {"core", "errors", "files", "parameters"},
@@ -42,12 +43,13 @@ MAY_IMPORT: dict[str, set[str]] = {
     "diagnostics": {"core", "parameters", "timeline"},
     "localizer": {"core", "diagnostics", "errors", "files", "messages", "parameters", "timeline"},
     "recordings": {
-        "core", "diagnostics", "errors", "files", "localizer", "messages", "parameters", "timeline",
+        "calibration", "core", "diagnostics", "errors", "files", "localizer", "messages",
+        "parameters", "timeline",
     },
     "evaluation": {"core", "errors", "recordings", "timeline"},
     "reports": {
-        "core", "errors", "evaluation", "files", "membership", "parameters", "recordings",
-        "timeline",
+        "calibration", "core", "errors", "evaluation", "files", "membership", "parameters",
+        "recordings", "timeline",
     },
     "simulation": {"core", "messages", "parameters", "timeline"},
     "study": {
@@ -58,9 +60,9 @@ MAY_IMPORT: dict[str, set[str]] = {
         "core", "errors", "membership", "parameters", "reports", "study", "timeline",
     },
     "commands": {
-        "core", "diagnostics", "errors", "evaluation", "files", "localizer", "membership",
-        "messages", "parameters", "recordings", "reports", "simulation", "stopping", "study",
-        "timeline", "training", "version",
+        "calibration", "core", "diagnostics", "errors", "evaluation", "files", "localizer",
+        "membership", "messages", "parameters", "recordings", "reports", "simulation", "stopping",
+        "study", "timeline", "training", "version",
     },
     "ros": {
         "core", "diagnostics", "errors", "files", "localizer", "membership", "messages",
@@ -80,8 +82,8 @@ ONLY_IN = {
     "jinja2": {"reports"},
 }  # fmt: skip
 PURE_PARTS = (
-    "core", "parameters", "timeline", "messages", "diagnostics", "localizer", "simulation",
-    "membership", "training", "errors", "evaluation",
+    "calibration", "core", "parameters", "timeline", "messages", "diagnostics", "localizer",
+    "simulation", "membership", "training", "errors", "evaluation",
 )  # fmt: skip
 
 
@@ -225,15 +227,7 @@ def test_the_localizer_node_pulls_in_nothing_heavy() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "simulate",
-        "replay",
-        "import-csv",
-        "evaluate",
-        "compare",
-        "train",
-        "study",
-    ],
+    ["simulate", "replay", "import-csv", "doctor", "evaluate", "compare", "train", "study"],
 )
 @pytest.mark.slow
 def test_tools_help_without_ros(without_ros: str, name: str) -> None:
@@ -288,7 +282,7 @@ def test_the_package_lists_its_commands() -> None:
     assert ended.returncode == 0
     listed = {line.split()[0] for line in ended.stdout.splitlines() if line.startswith("    ")}
     assert listed >= {
-        "localizer", "fake_robot", "simulate", "play", "replay", "import-csv", "evaluate",
+        "localizer", "fake_robot", "simulate", "play", "replay", "import-csv", "doctor", "evaluate",
         "compare", "train", "study",
     }  # fmt: skip
 

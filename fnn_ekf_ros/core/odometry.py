@@ -16,20 +16,24 @@ class WheelGeometry:
     """Geometry of a differential drive.
 
     Attributes:
-        wheel_radius: radius of both wheels [m]; D / 2.
+        wheel_radius: nominal radius of both wheels [m]; D / 2.
         wheel_separation: distance between the contact points of the wheels [m]; L.
         gear_ratio: encoder turns per wheel turn; n.
         encoder_counts_per_revolution: counts per encoder turn; C_e.
+        left_multiplier: radius of the left wheel over `wheel_radius`.
+        right_multiplier: radius of the right wheel over `wheel_radius`.
     """
 
     wheel_radius: float
     wheel_separation: float
     gear_ratio: float
     encoder_counts_per_revolution: float
+    left_multiplier: float = 1.0
+    right_multiplier: float = 1.0
 
     @property
     def meters_per_count(self) -> float:
-        """Distance of the wheel's rim per encoder count [m] (eq. 1): C_m = pi D / (n C_e)."""
+        """Distance of a wheel's rim per encoder count [m] (eq. 1): C_m = pi D / (n C_e)."""
         return (
             2.0 * math.pi * self.wheel_radius
             / (self.gear_ratio * self.encoder_counts_per_revolution)
@@ -41,7 +45,9 @@ def control_from_counts(
 ) -> FloatArray:
     """Return the wheel increments as the filter's control input (eqs. 2 and 3).
 
-        dS_L = C_m N_L, dS_R = C_m N_R, dS = (dS_L + dS_R) / 2, dtheta = (dS_R - dS_L) / L
+        dS_L = C_m m_L N_L, dS_R = C_m m_R N_R, dS = (dS_L + dS_R) / 2, dtheta = (dS_R - dS_L) / L
+
+    with the multipliers m of the wheels' radii, 1 in the paper.
 
     Args:
         geometry: the robot's wheels.
@@ -52,6 +58,6 @@ def control_from_counts(
         `(2, ...)`: [dS, dtheta], distance of the axle's center [m] and rotation, counter-clockwise
         [rad].
     """
-    left = geometry.meters_per_count * left_counts
-    right = geometry.meters_per_count * right_counts
+    left = geometry.meters_per_count * geometry.left_multiplier * left_counts
+    right = geometry.meters_per_count * geometry.right_multiplier * right_counts
     return np.array([0.5 * (left + right), (right - left) / geometry.wheel_separation])

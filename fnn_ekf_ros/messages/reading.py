@@ -17,6 +17,7 @@ from fnn_ekf_ros.messages.names import (
     INITIAL_POSE,
     JOINT_STATES,
     LEFT_TICKS,
+    LRF_POSE,
     RIGHT_TICKS,
 )
 from fnn_ekf_ros.messages.writing import PLANAR
@@ -175,6 +176,10 @@ def _pose(
             f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}'",
         )
     pose = planar_pose(message)
+    units = np.ones(3)
+    if topic == LRF_POSE:
+        units[:2] = parameters.lrf_pose_scale
+        pose = pose * units + [0.0, 0.0, parameters.lrf_yaw_offset]
     x, y, yaw = pose.tolist()
     if not (abs(x) < LARGEST_POSITION and abs(y) < LARGEST_POSITION):
         return Rejected(
@@ -188,7 +193,7 @@ def _pose(
             InputCheck.ORIENTATION,
             f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}",
         )
-    covariance = planar_block(message.pose.covariance)
+    covariance = planar_block(message.pose.covariance) * np.outer(units, units)
     if topic == INITIAL_POSE:
         return _pose_reset(message, pose, covariance, receive_ns, parameters)
     if parameters.lrf_use_message_covariance:

@@ -79,6 +79,20 @@ class LocalizerParameters(Parameters):
     )
     left_inverted: bool = parameter(False, "Left counts fall when the robot drives forward.")
     right_inverted: bool = parameter(False, "Right counts fall when the robot drives forward.")
+    left_wheel_radius_multiplier: float = parameter(
+        1.0,
+        "Radius of the left wheel over wheel_radius.",
+        "",
+        at_least=0.1,
+        at_most=10.0,
+    )
+    right_wheel_radius_multiplier: float = parameter(
+        1.0,
+        "Radius of the right wheel over wheel_radius.",
+        "",
+        at_least=0.1,
+        at_most=10.0,
+    )
     left_joint: str = parameter("left_wheel_joint", "Name of the left wheel in joint_states.")
     right_joint: str = parameter("right_wheel_joint", "Name of the right wheel in joint_states.")
     max_wheel_speed: float = parameter(
@@ -147,6 +161,24 @@ class LocalizerParameters(Parameters):
     )
     lrf_use_message_covariance: bool = parameter(
         False, "Take R of the laser fixes from their messages, times the adapted scale."
+    )
+    lrf_yaw_offset: float = parameter(
+        0.0,
+        "Added to the laser fixes' yaw, counter-clockwise.",
+        "rad",
+        at_least=-2.0 * math.pi,
+        at_most=2.0 * math.pi,
+    )
+    lrf_pose_scale: float = parameter(
+        1.0,
+        "Meters per unit of the laser fixes' x and y: 0.001 for fixes in millimeters.",
+        "m",
+        at_least=1e-6,
+        at_most=1e6,
+    )
+    compass_clockwise: bool = parameter(
+        False,
+        "The compass yaw grows clockwise, as in NED; with compass_offset pi / 2 for zero at north.",
     )
     compass_offset: float = parameter(
         0.0,

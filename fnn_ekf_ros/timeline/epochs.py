@@ -81,6 +81,7 @@ class Cutter:
     """
 
     def __init__(self, parameters: LocalizerParameters) -> None:
+        self._compass_sign = -1.0 if parameters.compass_clockwise else 1.0
         self._offset = parameters.compass_offset
         self._rows = list(FIX_ROWS if parameters.lrf_use_yaw else POSITION_ROWS)
         self._reported = parameters.lrf_use_message_covariance
@@ -122,7 +123,7 @@ class Cutter:
         covariance = None
         for reading in readings:
             if isinstance(reading, CompassYaw):
-                measurement[Row.COMPASS_YAW] = reading.yaw + self._offset
+                measurement[Row.COMPASS_YAW] = self._compass_sign * reading.yaw + self._offset
                 available[Row.COMPASS_YAW] = True
             else:
                 measurement[self._rows] = reading.pose[: len(self._rows)]

@@ -27,12 +27,16 @@ def wheel_geometry(parameters: LocalizerParameters) -> WheelGeometry:
             wheel_separation=parameters.wheel_separation,
             gear_ratio=1.0,
             encoder_counts_per_revolution=2.0 * math.pi,
+            left_multiplier=parameters.left_wheel_radius_multiplier,
+            right_multiplier=parameters.right_wheel_radius_multiplier,
         )
     return WheelGeometry(
         wheel_radius=parameters.wheel_radius,
         wheel_separation=parameters.wheel_separation,
         gear_ratio=parameters.gear_ratio,
         encoder_counts_per_revolution=parameters.encoder_counts_per_revolution,
+        left_multiplier=parameters.left_wheel_radius_multiplier,
+        right_multiplier=parameters.right_wheel_radius_multiplier,
     )
 
 

@@ -1,0 +1,222 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Everything that the readings say of each other, without the configuration.
+
+Nothing here depends on the configured radius, separation or signs: rotations and distances are per
+count. So what is found is the same for a right configuration and for a wrong one, and only its
+explanation differs.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.calibration.displacement import DisplacementFit, fit_displacement
+from fnn_ekf_ros.calibration.rotation import YawFit, fit_yaw, wrapped
+from fnn_ekf_ros.calibration.travel import WheelTravel
+from fnn_ekf_ros.core.arrays import FloatArray
+
+FEWEST_READINGS = 20
+"""Number of readings that a fit needs."""
+MOST_READINGS = 20_000
+"""Largest number of readings of one sensor that are used, its first ones: two hours of fixes."""
+GROUP_S = 0.3
+"""Time over which the readings of a fast sensor are averaged [s]: rotation is nearly even in it."""
+DEGREES = 180.0 / math.pi
+"""Factor of a yaw in degrees that is taken for radians."""
+NARROW_YAW = 0.2
+"""Range of a yaw in radians that is taken for degrees, 2 pi / 57.3 = 0.11, with noise [rad]."""
+UNIT_TOLERANCE = 1.4
+"""Factor by which a yaw of another unit may differ from what is expected of it."""
+RANDOM_BELOW = 0.2
+"""Mean resultant length of the changes of a yaw, beside the wheels, below which it is random; noise
+of 1.3 rad gives that, ten times a compass's."""
+MIRROR_MARGIN = 10.0
+"""Log likelihood by which a mirrored yaw has to fit the fixes better [nats]."""
+WEAK_SHARE = 0.05
+"""Share of the fixes' changes that wheels and yaw have to explain for a fit to count."""
+
+
+class Readings(NamedTuple):
+    """Readings of a drive; stamps in seconds since its begin.
+
+    Attributes:
+        travel: of the wheels.
+        compass: `(n, 2)` stamps, yaw as the localizer takes it [s, rad]; maybe empty.
+        fixes: `(k, 4)` stamps, x, y, yaw [s, m, m, rad]; maybe empty; NaN yaw if it has none.
+    """
+
+    travel: WheelTravel
+    compass: FloatArray
+    fixes: FloatArray
+
+
+class YawSource(NamedTuple):
+    """A sensor's yaw against wheels and fixes.
+
+    Attributes:
+        fit: against the wheels.
+        displacement: of the fixes along it; None without fixes.
+        handedness: +1 if the fixes' path goes the way the yaw says, -1 if it is mirrored, 0 if that
+            cannot be told.
+        factor: 1, or by how much it turns further than the robot: `DEGREES` or 1 / `DEGREES`.
+    """
+
+    fit: YawFit
+    displacement: DisplacementFit | None
+    handedness: int
+    factor: float
+
+    @property
+    def usable(self) -> bool:
+        """Whether it is a direction."""
+        return self.factor == 1.0
+
+
+class Evidence(NamedTuple):
+    """What the readings say.
+
+    Attributes:
+        compass: None if there are too few readings, or if it is random.
+        fix_yaw: likewise.
+        random_compass: whether the compass has nothing to do with the robot's rotation.
+    """
+
+    compass: YawSource | None
+    fix_yaw: YawSource | None
+    random_compass: bool
+
+    @property
+    def best(self) -> YawSource | None:
+        """The source whose direction explains the fixes best."""
+        found = [
+            source
+            for source in (self.compass, self.fix_yaw)
+            if source is not None
+            and source.usable
+            and source.displacement is not None
+            and source.displacement.explained > WEAK_SHARE
+        ]
+        return max(found, key=_likelihood, default=None)
+
+    @property
+    def other(self) -> YawSource | None:
+        """The other source that is a direction along which fixes can be explained."""
+        best = self.best
+        sources = [each for each in (self.compass, self.fix_yaw) if each is not None]
+        return next(
+            (each for each in sources if each is not best and each.displacement is not None), None
+        )
+
+
+def evidence_of(readings: Readings, expected: FloatArray) -> Evidence:
+    """Return what the readings say.
+
+    Args:
+        readings: of a drive; enough of the wheels.
+        expected: `(2,)` a_s, a_d by the configuration [rad per count], to recognize a yaw in
+            degrees where nothing else tells.
+    """
+    travel = readings.travel
+    fixes = readings.fixes[travel.covers(readings.fixes[:, 0])][:MOST_READINGS]
+    with_yaw = fixes[np.isfinite(fixes[:, 3])]
+    fix_fit = None
+    if _varies(with_yaw[:, 3]):
+        fix_fit = fit_yaw(travel, with_yaw[:, 0], with_yaw[:, 3])
+        if _is_random(travel, with_yaw[:, [0, 3]], fix_fit.coefficients[:2]):
+            fix_fit = None
+    compass = _averaged(readings.compass[travel.covers(readings.compass[:, 0])])[:MOST_READINGS]
+    reference = expected if fix_fit is None else fix_fit.coefficients[:2]
+    source, random_compass = None, False
+    if _varies(compass[:, 1]):
+        source = _compass_source(travel, compass, fixes, reference)
+        random_compass = source is None
+    return Evidence(
+        compass=source,
+        fix_yaw=None if fix_fit is None else _source(travel, fix_fit, fixes),
+        random_compass=random_compass,
+    )
+
+
+def _compass_source(
+    travel: WheelTravel, compass: FloatArray, fixes: FloatArray, reference: FloatArray
+) -> YawSource | None:
+    """Return the compass against wheels and fixes; None if it is random.
+
+    Radians that are taken for degrees are all near 0. A yaw in degrees turns so fast that close
+    readings do not tell by how much; the fit then begins with what it would be.
+    """
+    times, yaw = compass.T
+    if np.ptp(yaw) < NARROW_YAW and _turns(travel, reference) > 1.0:
+        fit = fit_yaw(travel, times, wrapped(DEGREES * yaw))
+        scaled = np.column_stack([times, DEGREES * yaw])
+        if not _is_random(travel, scaled, fit.coefficients[:2]) and _agrees(fit, reference, 1.0):
+            return YawSource(fit, None, 0, 1.0 / DEGREES)
+    for factor in (1.0, DEGREES, -DEGREES):
+        start = None if factor == 1.0 else factor * reference
+        fit = fit_yaw(travel, times, yaw, start)
+        if not _is_random(travel, compass, fit.coefficients[:2]):
+            if factor != 1.0 or _agrees(fit, reference, DEGREES):
+                return YawSource(fit, None, 0, DEGREES)
+            return _source(travel, fit, fixes)
+    return None
+
+
+def _turns(travel: WheelTravel, reference: FloatArray) -> float:
+    """Return the range of directions by the wheels [rad]."""
+    return float(np.ptp(travel.mean_and_half_difference(travel.times) @ reference))
+
+
+def _agrees(fit: YawFit, reference: FloatArray, factor: float) -> bool:
+    """Return whether a yaw turns by a factor further than another one, either way."""
+    size = float(np.hypot(*fit.coefficients[:2])) / (factor * float(np.hypot(*reference)) + 1e-300)
+    return 1.0 / UNIT_TOLERANCE < size < UNIT_TOLERANCE
+
+
+def _is_random(travel: WheelTravel, readings: FloatArray, coefficients: FloatArray) -> bool:
+    moved = travel.mean_and_half_difference(readings[:, 0]) @ coefficients
+    gaps = np.diff(readings[:, 0])
+    left = (np.diff(readings[:, 1]) - np.diff(moved))[gaps <= np.median(gaps) * 1.5]
+    return bool(abs(np.mean(np.exp(1j * left))) < RANDOM_BELOW)
+
+
+def _varies(yaw: FloatArray) -> bool:
+    return len(yaw) >= FEWEST_READINGS and bool(np.ptp(yaw) > 1e-6)
+
+
+def _source(travel: WheelTravel, fit: YawFit, fixes: FloatArray) -> YawSource:
+    if len(fixes) < FEWEST_READINGS:
+        return YawSource(fit, None, 0, 1.0)
+    yaw = fit.yaw_at(travel, travel.times, 0.0)
+    straight, mirrored = (
+        fit_displacement(travel, sign * yaw, fixes[:, 0], fixes[:, 1:3]) for sign in (1.0, -1.0)
+    )
+    margin = straight.log_likelihood - mirrored.log_likelihood
+    handedness = 0 if abs(margin) < MIRROR_MARGIN else int(np.sign(margin))
+    return YawSource(fit, mirrored if handedness < 0 else straight, handedness, 1.0)
+
+
+def _likelihood(source: YawSource) -> float:
+    return -math.inf if source.displacement is None else source.displacement.log_likelihood
+
+
+def _averaged(readings: FloatArray) -> FloatArray:
+    """Return readings `(n, 2)` of stamp and yaw, those of a fast sensor as averages of a few."""
+    if len(readings) < 2:
+        return readings
+    size = int(GROUP_S / max(float(np.median(np.diff(readings[:, 0]))), 1e-3))
+    if size < 2:
+        return readings
+    count = len(readings) // size
+    grouped = readings[: count * size].reshape(count, size, 2)
+    first = grouped[:, :1, 1]
+    yaw = first[:, 0] + np.mean(wrapped(grouped[:, :, 1] - first), axis=1)
+    return np.stack([grouped[:, :, 0].mean(axis=1), yaw], axis=-1)
+
+
+def turned(travel: WheelTravel, fit: YawFit) -> float:
+    """Return the range of directions that the robot had in a drive, by a yaw sensor [rad]."""
+    yaw = fit.yaw_at(travel, travel.times, 0.0)
+    return float(np.ptp(yaw))

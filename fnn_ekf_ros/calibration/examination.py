@@ -1,0 +1,237 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""An examination of a drive: readings in, findings out."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.calibration.counters import Counter, read_counter
+from fnn_ekf_ros.calibration.evidence import Evidence, Readings, evidence_of, turned
+from fnn_ekf_ros.calibration.explanation import NUMBERS, Explanation, explain
+from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, in_order
+from fnn_ekf_ros.calibration.geometry_findings import Context, geometry_findings
+from fnn_ekf_ros.calibration.travel import wheel_travel
+from fnn_ekf_ros.core.arrays import FloatArray
+
+FEWEST_COUNTS = 10.0
+"""Counts of both wheels below which the robot stood still: less than an encoder's jitter."""
+STILL_RAD = 0.05
+"""The same of positions from joint_states [rad]."""
+LEAST_ROTATION = 0.5
+"""Range of directions below which the robot never turned [rad]."""
+NEED_TURNS = ("wheel_separation", "wheel_ratio", "wheels_swapped", "compass_clockwise")
+"""Findings that only a robot that turns can give."""
+FEWEST_WHEEL_READINGS = 20
+"""Readings of each wheel that an examination needs."""
+
+
+class Drive(NamedTuple):
+    """Readings as they came; stamps in seconds, all since one instant.
+
+    Attributes:
+        left: `(n, 2)` stamps and readings of the left wheel.
+        right: `(n, 2)` likewise.
+        compass: `(n, 2)` stamps, yaw [s, rad].
+        fixes: `(n, 4)` stamps, x, y, yaw [s, m, m, rad]; NaN yaw where there is none.
+    """
+
+    left: FloatArray
+    right: FloatArray
+    compass: FloatArray
+    fixes: FloatArray
+
+
+class Examined(NamedTuple):
+    """The result of an examination.
+
+    Attributes:
+        findings: what is wrong, the surest first.
+        evidence: what the readings say; None if the wheels did not move.
+        explanation: what explains it; None if there is nothing to explain.
+        estimates: every number that could be estimated, with its 95 % interval, by parameter.
+    """
+
+    findings: tuple[Finding, ...]
+    evidence: Evidence | None = None
+    explanation: Explanation | None = None
+    estimates: tuple[Change, ...] = ()
+
+
+def examine(drive: Drive, configured: Mapping[str, Any]) -> Examined:
+    """Return what is wrong with robot, wiring or configuration.
+
+    Args:
+        drive: readings of a drive.
+        configured: parameters of the localizer, by name; lengths may be out of range.
+    """
+    if min(len(drive.left), len(drive.right)) < FEWEST_WHEEL_READINGS:
+        return Examined(())
+    ticks = configured["encoder_source"] == "ticks"
+    bits = int(configured["encoder_bits"]) if ticks else None
+    counters = [read_counter(wheel, bits) for wheel in (drive.left, drive.right)]
+    findings = _counter_findings(counters, bits)
+    moved = [float(np.sum(np.abs(np.diff(counter.readings[:, 1])))) for counter in counters]
+    if sum(moved) < (FEWEST_COUNTS if ticks else STILL_RAD):
+        return Examined(in_order([*findings, _standing(moved)]))
+    if min(moved) == 0.0:
+        stuck = "left" if moved[0] == 0.0 else "right"
+        findings.append(_stuck(stuck, max(moved)))
+        return Examined(in_order(findings))
+    meters = meters_per_count(configured)
+    readings = Readings(
+        wheel_travel(*(
+            _signed(counter, configured, side)
+            for counter, side in zip(counters, ("left", "right"), strict=True)
+        )),
+        _as_configured(drive.compass, configured),
+        _as_configured_fixes(drive.fixes, configured),
+    )  # fmt: skip
+    if len(readings.travel.times) < FEWEST_WHEEL_READINGS:
+        return Examined(in_order(findings))
+    expected = np.array([0.0, 2.0 * meters / float(configured["wheel_separation"])])
+    evidence = evidence_of(readings, expected)
+    explanation = explain(evidence, meters, float(configured["wheel_separation"]))
+    if evidence.random_compass:
+        findings.append(_random(readings))
+    if explanation is None:
+        return Examined(in_order(findings), evidence)
+    context = Context(configured, evidence, explanation, _intervals(drive))
+    sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
+    rotation = max((turned(readings.travel, each.fit) for each in sources), default=math.inf)
+    found = geometry_findings(context)
+    if rotation < LEAST_ROTATION:
+        findings.append(_straight(rotation))
+        found = [finding for finding in found if finding.name not in NEED_TURNS]
+    findings += found
+    return Examined(in_order(findings), evidence, explanation, _estimates(context))
+
+
+def meters_per_count(configured: Mapping[str, Any]) -> float:
+    """Return what parameters make of a count, or of a radian with joint_states [m]."""
+    radius = float(configured["wheel_radius"])
+    if configured["encoder_source"] != "ticks":
+        return radius
+    turns = float(configured["gear_ratio"]) * float(configured["encoder_counts_per_revolution"])
+    return 2.0 * math.pi * radius / turns
+
+
+def _signed(counter: Counter, configured: Mapping[str, Any], side: str) -> FloatArray:
+    """Return a wheel's counts as the localizer takes them."""
+    sign = -1.0 if configured[f"{side}_inverted"] else 1.0
+    multiplier = float(configured[f"{side}_wheel_radius_multiplier"])
+    return counter.readings * [1.0, sign * multiplier]
+
+
+def _as_configured(compass: FloatArray, configured: Mapping[str, Any]) -> FloatArray:
+    """Return compass readings as the localizer takes them."""
+    sign = -1.0 if configured["compass_clockwise"] else 1.0
+    delay = float(configured.get("compass_delay", 0.0))
+    return compass * [1.0, sign] + [-delay, float(configured["compass_offset"])]
+
+
+def _as_configured_fixes(fixes: FloatArray, configured: Mapping[str, Any]) -> FloatArray:
+    scale = float(configured["lrf_pose_scale"])
+    delay = float(configured.get("lrf_pose_delay", 0.0))
+    offset = float(configured["lrf_yaw_offset"])
+    return fixes * [1.0, scale, scale, 1.0] + [-delay, 0.0, 0.0, offset]
+
+
+def _intervals(drive: Drive) -> dict[str, float]:
+    named = {"wheels": drive.left, "compass": drive.compass, "fixes": drive.fixes}
+    return {
+        name: float(np.median(np.diff(readings[:, 0])))
+        for name, readings in named.items()
+        if len(readings) > 1
+    }
+
+
+def _counter_findings(counters: list[Counter], bits: int | None) -> list[Finding]:
+    found = []
+    if bits is not None:
+        other = [counter for counter in counters if counter.bits != bits]
+        if other:
+            width = max(counter.bits for counter in other)
+            wraps = sum(counter.wraps for counter in counters)
+            shows = f"{wraps} jumps by 2^{width} counts" if wraps else "counts beyond that range"
+            found.append(
+                Finding(
+                    "encoder_bits",
+                    f"the counters have {width} bits, encoder_bits says {bits}",
+                    shows,
+                    Certainty.CERTAIN if wraps != 1 else Certainty.LIKELY,
+                    (Change("encoder_bits", width),),
+                )
+            )
+    resets = [counter.resets for counter in counters]
+    if any(resets):
+        found.append(
+            Finding(
+                "counter_resets",
+                "counters jump further than a wheel can turn; that is counted as no motion",
+                f"{resets[0]} times left, {resets[1]} times right",
+                Certainty.POSSIBLE,
+            )
+        )
+    return found
+
+
+def _standing(moved: list[float]) -> Finding:
+    return Finding(
+        "standing",
+        "the robot stood still: record a drive with turns to both sides",
+        f"the counters moved by {moved[0]:g} and {moved[1]:g} in all",
+        Certainty.CERTAIN,
+    )
+
+
+def _stuck(side: str, other: float) -> Finding:
+    return Finding(
+        "stuck_wheel",
+        f"the {side} counter never changes: cable, encoder or topic",
+        f"the other one moved by {other:g} counts",
+        Certainty.CERTAIN,
+    )
+
+
+def _straight(rotation: float) -> Finding:
+    return Finding(
+        "never_turning",
+        "the robot hardly turned: wheel_separation and the sides cannot be told from this bag",
+        f"its direction changed by {rotation:.2g} rad in all",
+        Certainty.CERTAIN,
+    )
+
+
+def _random(readings: Readings) -> Finding:
+    return Finding(
+        "compass_random",
+        "the compass has nothing to do with the rotation: degrees taken for radians, a broken "
+        "sensor, or another one's topic",
+        f"the changes of {len(readings.compass)} readings have no direction in common",
+        Certainty.LIKELY,
+    )
+
+
+def _estimates(context: Context) -> tuple[Change, ...]:
+    """Return all numbers that the evidence determines, whether they are wrong or not."""
+    explanation = context.explanation
+    parameters = dict(zip(NUMBERS, (
+        "wheel_radius", "right_over_left", "wheel_separation", "compass_offset", "lrf_yaw_offset",
+        "compass_delay", "lrf_pose_delay"), strict=True))  # fmt: skip
+    found = []
+    for name in NUMBERS:
+        value, std = explanation.value(name), explanation.std(name)
+        if name in ("scale", "separation"):
+            found.append(context.change(parameters[name], math.exp(value), std, "m"))
+        elif name == "ratio":
+            spread = math.exp(LEVEL * std)
+            ratio = math.exp(value)
+            found.append(Change(parameters[name], ratio, ratio / spread, ratio * spread))
+        else:
+            unit = "s" if name.endswith("delay") else "rad"
+            found.append(context.shift(parameters[name], value, std, unit))
+    return tuple(found)

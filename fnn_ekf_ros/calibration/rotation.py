@@ -1,0 +1,215 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Rotation by the wheels against the yaw that a sensor measured.
+
+With the mean s and the half difference d of the wheels' travel in counts,
+
+    yaw(t) = c + a_s s(t - delay) + a_d d(t - delay),    s = (N_l + N_r) / 2,  d = (N_r - N_l) / 2.
+
+A robot that is wired as it should be has a_d > 0, and a_s = 0 if its wheels are equal.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fnn_ekf_ros.calibration.drift_regression import (
+    Drift,
+    fit_drifting,
+    fit_with_instruments,
+    profile,
+    smoothed,
+)
+from fnn_ekf_ros.calibration.travel import WheelTravel
+from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
+
+LARGEST_DELAY_S = 1.5
+"""Largest delay that is looked for [s]."""
+DELAY_STEP_S = 0.1
+"""Step of the delays that are tried first [s]."""
+INSTRUMENT_LAGS_S = (0.0, 0.15, 0.3, 0.6)
+"""Ages of the travel that serves as instruments [s]; turns last for about a second."""
+LONG_S = 16.0
+"""Time over which rotations are compared once more [s]."""
+WEAK_DELAY_STD_S = 0.15
+"""Standard error of a delay from which on the readings do not show it, and it is taken for 0 [s]:
+two-stage least squares are far from normal where instruments are weak."""
+DRIFT_GAIN = 0.3
+"""Part of a difference between yaw and wheels that is followed when the yaw is unwrapped."""
+RATE_HALF_WINDOW_S = 0.1
+"""Half the time over which a speed is taken [s]."""
+
+
+class YawFit(NamedTuple):
+    """What a yaw sensor says of the wheels.
+
+    Attributes:
+        coefficients: `(3,)` a_s, a_d [rad per count], delay [s].
+        covariance: `(3, 3)` of these.
+        noise_std: of one reading [rad].
+        explained: share of the yaw's changes, from reading to reading, that the wheels explain.
+        long_changes: `(2,)` a_s, a_d by the changes over `LONG_S` alone; NaN if there are too few.
+        readings: number of readings.
+        times: `(n,)` stamps of the readings, by which `level` is given [s].
+        track: `(2,)` a_s, a_d that `level` goes with.
+        level: `(n,)` the yaw, unwrapped, without the wheels' part [rad].
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
+    noise_std: float
+    explained: float
+    long_changes: FloatArray
+    readings: int
+    times: FloatArray
+    track: FloatArray
+    level: FloatArray
+
+    def yaw_at(self, travel: WheelTravel, times: FloatArray, delay_s: float) -> FloatArray:
+        """Return the sensor's yaw, unwrapped, at instants of the wheels' clock [rad]."""
+        level = np.interp(times, self.times - delay_s, self.level)
+        return np.asarray(travel.mean_and_half_difference(times) @ self.track + level)
+
+
+def fit_yaw(
+    travel: WheelTravel, times: FloatArray, yaw: FloatArray, start: FloatArray | None = None
+) -> YawFit:
+    """Return how a sensor's yaw depends on the wheels.
+
+    Args:
+        travel: of the wheels.
+        times: `(n,)` stamps, rising [s].
+        yaw: `(n,)` yaw, wrapped [rad].
+        start: `(2,)` a_s, a_d to begin with; None: by readings that follow each other closely.
+    """
+    breaks = travel.breaks(times)
+    columns = travel.mean_and_half_difference(times)
+    first = _by_close_readings(times, yaw, columns, breaks) if start is None else start
+    unwrapped = _unwrapped(yaw, columns @ first)
+    for _ in range(2):
+        fit = fit_drifting(times, unwrapped[:, None], columns[:, None, :], breaks)
+        unwrapped = _unwrapped(yaw, columns @ fit.coefficients)
+    delays = np.arange(-LARGEST_DELAY_S, LARGEST_DELAY_S + 1e-9, DELAY_STEP_S)
+    shifted = np.stack([travel.mean_and_half_difference(times - each) for each in delays])
+    scores = profile(fit.drift, unwrapped[:, None], shifted[:, :, None, :])
+    delay = float(delays[int(np.argmax(scores))])
+    long_changes = _long_changes(times, unwrapped, columns, breaks)
+    coefficients, covariance = _with_instruments(travel, fit.drift, unwrapped, delay)
+    if math.sqrt(covariance[2, 2]) > WEAK_DELAY_STD_S:
+        coefficients, covariance = _without_delay(travel, fit.drift, unwrapped)
+    if not np.any(np.isnan(long_changes)):
+        half = 0.5 * (long_changes - coefficients[:2])
+        covariance[:2, :2] += np.outer(half, half)
+    return YawFit(
+        coefficients=coefficients,
+        covariance=covariance,
+        noise_std=fit.noise_std,
+        explained=fit.explained,
+        long_changes=long_changes,
+        readings=len(times),
+        times=times,
+        track=fit.coefficients,
+        level=smoothed(fit.drift, unwrapped - columns @ fit.coefficients),
+    )
+
+
+def _with_instruments(
+    travel: WheelTravel, drift: Drift, unwrapped: FloatArray, delay: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return a_s, a_d and the delay, and their covariance, free of the driver's feedback."""
+    times = drift.times
+    found, covariance = np.zeros(3), np.eye(3)
+    for _ in range(4):
+        columns = travel.mean_and_half_difference(times - delay)
+        lagged = [travel.mean_and_half_difference(times - delay - lag) for lag in INSTRUMENT_LAGS_S]
+        instruments = np.concatenate(lagged, axis=-1)
+        slope, _ = fit_with_instruments(
+            drift, unwrapped[:, None], columns[:, None, :], instruments[:, None, :]
+        )
+        ahead = travel.mean_and_half_difference(times - delay + RATE_HALF_WINDOW_S)
+        behind = travel.mean_and_half_difference(times - delay - RATE_HALF_WINDOW_S)
+        rate = (ahead - behind) @ slope / (2.0 * RATE_HALF_WINDOW_S)
+        found, covariance = fit_with_instruments(
+            drift,
+            unwrapped[:, None],
+            np.concatenate([columns, -rate[:, None]], axis=-1)[:, None, :],
+            instruments[:, None, :],
+        )
+        step = float(np.clip(found[2], -0.2, 0.2))
+        delay = float(np.clip(delay + step, -LARGEST_DELAY_S, LARGEST_DELAY_S))
+        if abs(step) < 2e-3:
+            break
+    return np.array([found[0], found[1], delay]), covariance
+
+
+def _without_delay(
+    travel: WheelTravel, drift: Drift, unwrapped: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return a_s, a_d without any delay, and a delay of which nothing is known."""
+    columns = travel.mean_and_half_difference(drift.times)
+    lagged = [travel.mean_and_half_difference(drift.times - lag) for lag in INSTRUMENT_LAGS_S]
+    instruments = np.concatenate(lagged, axis=-1)
+    slope, covariance = fit_with_instruments(
+        drift, unwrapped[:, None], columns[:, None, :], instruments[:, None, :]
+    )
+    unknown = np.zeros((3, 3))
+    unknown[:2, :2] = covariance
+    unknown[2, 2] = LARGEST_DELAY_S**2
+    return np.array([*slope, 0.0]), unknown
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles within -pi and pi."""
+    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def _by_close_readings(
+    times: FloatArray, yaw: FloatArray, columns: FloatArray, breaks: BoolArray
+) -> FloatArray:
+    """Return a_s, a_d by changes between readings so close that the yaw cannot have wrapped."""
+    gaps = np.diff(times)
+    close = (gaps <= max(float(np.median(gaps)), 0.4)) & ~breaks[1:]
+    return _robust(wrapped(np.diff(yaw))[close], np.diff(columns, axis=0)[close])
+
+
+def _long_changes(
+    times: FloatArray, unwrapped: FloatArray, columns: FloatArray, breaks: BoolArray
+) -> FloatArray:
+    """Return a_s, a_d by the changes over `LONG_S`; NaN if there are too few."""
+    ends = np.searchsorted(times, times + LONG_S)
+    starts = np.flatnonzero(ends < len(times))
+    ends = ends[starts]
+    holes = np.cumsum(breaks)
+    usable = (times[ends] - times[starts] < 1.25 * LONG_S) & (holes[ends] == holes[starts])
+    starts, ends = starts[usable], ends[usable]
+    if len(starts) < 10:
+        return np.full(2, math.nan)
+    return _robust(unwrapped[ends] - unwrapped[starts], columns[ends] - columns[starts])
+
+
+def _robust(change: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return coefficients of least squares in which outliers get less weight."""
+    scale = np.sqrt(np.mean(moved**2)) + 1e-300
+    weights = np.ones(len(change))
+    found = np.zeros(moved.shape[-1])
+    for _ in range(8):
+        rows = moved / scale * np.sqrt(weights)[:, None]
+        values = change * np.sqrt(weights)
+        found = np.linalg.solve(rows.T @ rows + 1e-6 * np.eye(rows.shape[1]), rows.T @ values)
+        left = np.abs(change - moved / scale @ found)
+        weights = 1.0 / np.maximum(1.0, left / (2.0 * np.median(left) + 1e-12)) ** 2
+    return np.asarray(found / scale)
+
+
+def _unwrapped(yaw: FloatArray, explained: FloatArray) -> FloatArray:
+    """Return yaw without wraps: it stays near what the wheels explain, plus a slow difference."""
+    residual = yaw - explained
+    found = np.empty_like(yaw)
+    level = float(residual[0])
+    for k, value in enumerate(residual.tolist()):
+        innovation = float((value - level + np.pi) % (2.0 * np.pi) - np.pi)
+        found[k] = level + innovation
+        level += DRIFT_GAIN * innovation
+    return found + explained
