@@ -22,6 +22,7 @@ COMMANDS = {
     "doctor": "doctor",
     "evaluate": "evaluate",
     "compare": "compare",
+    "tune": "tune",
     "train": "train",
     "study": "study",
 }

@@ -102,6 +102,14 @@ COMMANDS = {
             "my_bag --params my_robot.yaml --json found.json --write-params mended.yaml",
         ),
     ),
+    "tune": Command(
+        "fnn_ekf_ros.commands.tune",
+        "noise and calibration from bags without a ground truth",
+        (
+            "my_bag --params my_robot.yaml --output localizer.yaml",
+            "mon tue --params my_robot.yaml --calibrate --output localizer.yaml --plot tuned.png",
+        ),
+    ),
     "evaluate": Command(
         "fnn_ekf_ros.commands.evaluate",
         "errors of a run, whether it is honest, and a report",
@@ -285,5 +293,6 @@ import_csv = functools.partial(run_command, "import-csv")
 doctor = functools.partial(run_command, "doctor")
 evaluate = functools.partial(run_command, "evaluate")
 compare = functools.partial(run_command, "compare")
+tune = functools.partial(run_command, "tune")
 train = functools.partial(run_command, "train")
 study = functools.partial(run_command, "study")

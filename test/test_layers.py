@@ -59,10 +59,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "training": {
         "core", "errors", "membership", "parameters", "reports", "study", "timeline",
     },
+    "tuning": {"core", "errors", "parameters", "study", "timeline"},
     "commands": {
         "calibration", "core", "diagnostics", "errors", "evaluation", "files", "localizer",
         "membership", "messages", "parameters", "recordings", "reports", "simulation", "stopping",
-        "study", "timeline", "training", "version",
+        "study", "timeline", "training", "tuning", "version",
     },
     "ros": {
         "core", "diagnostics", "errors", "files", "localizer", "membership", "messages",

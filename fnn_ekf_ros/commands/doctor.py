@@ -32,15 +32,9 @@ from fnn_ekf_ros.reports.doctor_report import as_json, as_text
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.reports.result_folder import check_result_file
 
-EXAMPLES = """\
-examples:
-  doctor my_bag --params my_robot.yaml
-  doctor my_bag                         # without parameters: what they would have to be
-  doctor my_bag --params my_robot.yaml -r lrf_pose:=/amcl_pose --write-params fixed.yaml
-  replay my_bag out --params fixed.yaml -r lrf_pose:=/amcl_pose
-
-The exit code is 0 if replay would work with these parameters and remappings, otherwise 1.
-"""
+EXIT_CODE = (
+    "The exit code is 0 if replay would work with these parameters and remappings, otherwise 1."
+)
 """Last words of `--help`."""
 LENGTHS = ("wheel_radius", "wheel_separation")
 """Parameters that must be set, and that a user may give in another unit [m]."""
@@ -68,8 +62,7 @@ class Configured(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = EXAMPLES
+    parser.epilog = EXIT_CODE
     parser.add_argument("bag", metavar="BAG", type=Path, help="the recording of a drive")
     add_parameter_arguments(parser)
     add_remapping_argument(parser)
