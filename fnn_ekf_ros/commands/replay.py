@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--save-params", metavar="FILE", type=Path,
-        help="write a parameter file with the noise and the compass_offset that were found",
+        help="write a parameter file with the noise that was found and what else would fit",
     )  # fmt: skip
     parser.add_argument(
         "--json", metavar="FILE", type=Path, help="write the health summary as JSON"

@@ -178,7 +178,7 @@ class HealthSummary(NamedTuple):
         travel: of the pose, over that of the wheels.
         sensors: what became of the messages of each.
         lasting: what was believed of lasting errors at the end; empty where they are not followed.
-        compass_offset: parameter that would fit [rad]; None if the one that is set does.
+        fitting: parameters that would fit by the last report, and their values.
         moves: number of relocations.
         last_move: the last one.
     """
@@ -193,7 +193,7 @@ class HealthSummary(NamedTuple):
     travel: TravelRatios
     sensors: tuple[SensorHealth, ...]
     lasting: str
-    compass_offset: float | None
+    fitting: tuple[tuple[str, float], ...]
     moves: int
     last_move: Move | None
 

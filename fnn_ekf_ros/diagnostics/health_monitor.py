@@ -25,7 +25,7 @@ from fnn_ekf_ros.diagnostics.health import (
     StatusHealth,
     honest_band,
 )
-from fnn_ekf_ros.diagnostics.lasting_words import fitting_compass_offset, lasting_in_words
+from fnn_ekf_ros.diagnostics.lasting_words import lasting_in_words
 from fnn_ekf_ros.diagnostics.messages import (
     LEFT_OUT,
     MEASUREMENT_NOISES,
@@ -34,6 +34,7 @@ from fnn_ekf_ros.diagnostics.messages import (
     REFUSED,
     SEPARATOR,
     dropped_key,
+    fitting_parameters,
 )
 from fnn_ekf_ros.diagnostics.travel import Travel
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -96,6 +97,7 @@ class HealthMonitor:
         self._reports: dict[str, _Reports] = {}
         self._last_values: dict[str, dict[str, str]] = {}
         self._received_before: dict[Sensor, int] = {}
+        self._fitting: dict[str, float] = {}
         self._judged = {sensor: _Judged() for sensor in (Sensor.COMPASS, Sensor.LRF_POSE)}
         self._travel = Travel(parameters.period)
         self._state: FilterState | None = None
@@ -117,7 +119,10 @@ class HealthMonitor:
         if output.moved is not None:
             self._moves += 1
             self._last_move = output.moved
+        if output.statuses is not None:
+            self._fitting = {}
         for status in output.statuses or ():
+            self._fitting |= fitting_parameters(status.values)
             self._last_values[status.name] = dict(status.values)
             if self._started_ns is not None:
                 self._reports.setdefault(status.name, _Reports()).saw(status)
@@ -129,9 +134,6 @@ class HealthMonitor:
         if self._started_ns is None or self._state is None:
             return None
         lasting = self._lasting
-        offset = None
-        if lasting is not None:
-            offset = fitting_compass_offset(lasting, self._parameters.compass_offset)
         return HealthSummary(
             parameters=self._parameters,
             started_ns=self._started_ns,
@@ -147,7 +149,7 @@ class HealthMonitor:
             travel=self._travel.ratios(),
             sensors=tuple(map(self._sensor, Sensor)),
             lasting="" if lasting is None else lasting_in_words(lasting)[0][1],
-            compass_offset=offset,
+            fitting=tuple(self._fitting.items()),
             moves=self._moves,
             last_move=self._last_move,
         )

@@ -17,9 +17,9 @@ from fnn_ekf_ros.diagnostics.health import (
     honest_band,
 )
 from fnn_ekf_ros.diagnostics.messages import (
-    FITTING,
     MEASUREMENT_NOISES,
     PROCESS_NOISES,
+    fitting_parameters,
 )
 from fnn_ekf_ros.diagnostics.travel import LARGEST_ERROR, TravelRatios
 from fnn_ekf_ros.diagnostics.wheel_sizes import SIZE_KEYS
@@ -104,10 +104,10 @@ def checks(summary: HealthSummary) -> list[str]:
 
 
 def found_parameters(summary: HealthSummary) -> dict[str, Any]:
-    """Return the parameters that were found, by name: the noise, and a compass offset that fits.
+    """Return the parameters that were found, by name: noise, and what diagnostics say would fit.
 
-    A compass whose noise is suspicious has no offset that fits. The noise is within its bounds, as
-    that in use is. Fixes that report their own covariance keep the configured noise, which is only
+    Nothing fits a sensor whose noise is suspicious. The noise is within its bounds, as that in use
+    is. Fixes that report their own covariance keep the configured noise, which is only
     what their scale refers to.
     """
     p = summary.parameters
@@ -132,9 +132,13 @@ def found_parameters(summary: HealthSummary) -> dict[str, Any]:
     }
     if not p.lrf_use_yaw:
         del found["lrf_yaw_std"]
-    if summary.compass_offset is not None and not _suspicious(summary.noise, _YAW_NOISES):
-        found["compass_offset"] = float(f"{summary.compass_offset:.{DIGITS}g}")
-    return found
+    doubtful = tuple(
+        f"{sensor}_"
+        for sensor, noises in ((Sensor.COMPASS, _YAW_NOISES), (Sensor.LRF_POSE, _FIX_NOISES))
+        if _suspicious(summary.noise, noises)
+    )
+    fitting = {name: value for name, value in summary.fitting if not name.startswith(doubtful)}
+    return found | fitting
 
 
 def plain_summary(summary: HealthSummary) -> dict[str, Any]:
@@ -208,7 +212,8 @@ def _status(status: StatusHealth) -> str:
     )
     at_end = " and at the end" if status.last is not Level.OK else ""
     values = dict(status.values)
-    shown = [f"{values[FITTING]} would fit"] if FITTING in values else []
+    fitting = fitting_parameters(status.values).items()
+    shown = [f"{name} {_number(value)} would fit" for name, value in fitting]
     shown += [f"{key.removesuffix(' [%]')} {values[key]} %" for key in SIZE_KEYS if key in values]
     detail = f" ({', '.join(shown)})" if shown else ""
     return f"{status.name} {levels} of the time{at_end}: {status.message}{detail}"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.lasting.members import LASTING_SHARE
 from fnn_ekf_ros.core.lasting.report import LastingReport
-from fnn_ekf_ros.diagnostics.messages import FITTING, SensorMessage
+from fnn_ekf_ros.diagnostics.messages import SensorMessage, fitting_value
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.timeline.events import Sensor
 
@@ -54,23 +54,11 @@ def yaw_offset(report: LastingReport, compass_offset: float) -> YawOffset | None
         return YawOffset(Sensor.COMPASS, SensorMessage.TURNED, _values(report))
     if not report.believed:
         return None
-    fitting = fitting_compass_offset(report, compass_offset)
-    if fitting is None:  # it is that of the fixes' yaw
+    if report.of_fix_yaw:
         return YawOffset(Sensor.LRF_POSE, SensorMessage.OFFSET, _values(report))
-    remedy = (FITTING, f"compass_offset: {fitting:.2f}")
+    fitting = float(wrap_angle(compass_offset - report.offset))
+    remedy = fitting_value("compass_offset", fitting)
     return YawOffset(Sensor.COMPASS, SensorMessage.OFFSET, (*_values(report), remedy))
-
-
-def fitting_compass_offset(report: LastingReport, compass_offset: float) -> float | None:
-    """Return the parameter that would fit [rad]; None if no offset of the compass is believed.
-
-    Args:
-        report: of a single filter.
-        compass_offset: the parameter as it is [rad].
-    """
-    if report.doubted or not report.believed or report.of_fix_yaw:
-        return None
-    return float(wrap_angle(compass_offset - report.offset))
 
 
 def doubtful_yaw(report: LastingReport) -> Sensor | None:

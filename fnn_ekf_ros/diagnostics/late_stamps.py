@@ -6,7 +6,7 @@
 from typing import NamedTuple
 
 from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
-from fnn_ekf_ros.diagnostics.messages import SensorMessage
+from fnn_ekf_ros.diagnostics.messages import SensorMessage, fitting_value
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.diagnostics.recent_periods import RecentPeriods
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -38,7 +38,7 @@ class LateStamps(NamedTuple):
         return (
             ("lag of the stamps [s]", f"{self.lag_s:.2f}"),
             ("its standard error [s]", f"{self.std_s:.2f}"),
-            (self.parameter, f"{self.delay_s + self.lag_s:.2f} would fit"),
+            fitting_value(self.parameter, self.delay_s + self.lag_s),
         )
 
 

@@ -173,6 +173,17 @@ def fill(message: DiagnosticMessage, **names: str) -> str:
     return text
 
 
+def fitting_value(parameter: str, value: float) -> tuple[str, str]:
+    """Return key and value of a parameter with which a fault would be gone."""
+    return FITTING, f"{parameter}: {value:.2f}"
+
+
+def fitting_parameters(values: Iterable[tuple[str, str]]) -> dict[str, float]:
+    """Return the parameters that `fitting_value` has put among the values of a status."""
+    texts = (text.split(": ") for key, text in values if key == FITTING)
+    return {parameter: float(number) for parameter, number in texts}
+
+
 def dropped_key(name: str) -> str:
     """Return the key of the number of dropped messages of one input."""
     return f"{DROPPED}, {name}"

@@ -27,6 +27,7 @@ from fnn_ekf_ros.diagnostics.health import (
     honest_band,
 )
 from fnn_ekf_ros.diagnostics.health_monitor import HealthMonitor
+from fnn_ekf_ros.diagnostics.messages import fitting_value
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.timeline.events import CompassYaw, Level, Move, Output, PoseFix, Sensor, Status
 
@@ -240,6 +241,16 @@ def test_right_readings_are_inside_their_band() -> None:
         low, high = honest_band(rows)
         means = rng.chisquare(rows, 20_000) / rows
         assert np.mean((means < low) | (means > high)) < 2e-3
+
+
+def test_parameters_that_would_fit_are_those_of_the_last_report(estimated: Output) -> None:
+    off = Status("compass", Level.WARN, "off", (fitting_value("compass_offset", -0.8),))
+    late = Status("lrf_pose", Level.WARN, "late", (fitting_value("lrf_pose_delay", 0.3),))
+    outputs = [Output(START_NS, None, found) for found in ((off, late), (late,))]
+    assert followed([estimated, outputs[0]]).fitting == (
+        ("compass_offset", -0.8), ("lrf_pose_delay", 0.3),
+    )  # fmt: skip
+    assert followed([estimated, *outputs]).fitting == (("lrf_pose_delay", 0.3),)
 
 
 def test_moves_are_counted(estimated: Output) -> None:

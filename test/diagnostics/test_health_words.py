@@ -24,7 +24,7 @@ from fnn_ekf_ros.diagnostics.health_words import (
     health_lines,
     plain_summary,
 )
-from fnn_ekf_ros.diagnostics.messages import FITTING
+from fnn_ekf_ros.diagnostics.messages import fitting_value
 from fnn_ekf_ros.diagnostics.travel import TravelRatio, TravelRatios
 from fnn_ekf_ros.diagnostics.wheel_sizes import SIZE_KEYS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -61,7 +61,7 @@ def healthy(**parameters: Any) -> HealthSummary:
         travel=TravelRatios(TravelRatio(0.98, 0.05), TravelRatio(0.97, 0.05)),
         sensors=tuple(SensorHealth(sensor, 1000, 0, 0, 0, 999, 0, 0) for sensor in Sensor),
         lasting="none",
-        compass_offset=None,
+        fitting=(),
         moves=0,
         last_move=None,
     )  # fmt: skip
@@ -77,7 +77,7 @@ def test_three_lines_if_all_is_well() -> None:
 
 
 def test_each_trouble_is_one_line_and_all_of_them_are_readable() -> None:
-    offset = (("age [s]", "0.1"), (FITTING, "compass_offset: -0.80"))
+    offset = (("age [s]", "0.1"), fitting_value("compass_offset", -0.8))
     sizes = tuple(zip(SIZE_KEYS, ("+271", "-5"), strict=True))
     troubled = healthy()._replace(
         started_ns=START_NS + 40 * SECOND_NS,
@@ -111,8 +111,7 @@ def test_each_trouble_is_one_line_and_all_of_them_are_readable() -> None:
         "health: not good",
         "  started 40 s after the begin: waiting for the first position",
         "  filter ERROR 2 % and WARN 20 % of the time: lost",
-        "  compass WARN 96 % of the time and at the end: it is off (compass_offset: -0.80 would "
-        "fit)",
+        "  compass WARN 96 % of the time and at the end: it is off (compass_offset -0.8 would fit)",
         "  time WARN 1 % of the time: late",
         "  encoders WARN less than 1 % of the time: the wheels differ (left wheel's distance "
         "against its counts +271 %, right wheel's distance against its counts -5 %)",
@@ -215,18 +214,21 @@ def test_the_parameters_that_were_found_are_a_valid_set() -> None:
     found = found_parameters(
         healthy()._replace(
             noise=(FoundNoise("distance", "m", 0.05, 0.012345678), noise("fixes' x", 0.98764)),
-            compass_offset=-0.7954321,
+            fitting=(("compass_offset", -0.8), ("lrf_pose_delay", 0.3)),
         )
     )
     assert found["process_noise_std"] == (0.01235, pytest.approx(0.0524, rel=1e-3))
     assert found["measurement_noise_std"][:2] == (0.09876, 0.1)
-    assert found["compass_offset"] == -0.7954
+    assert (found["compass_offset"], found["lrf_pose_delay"]) == (-0.8, 0.3)
     build(LocalizerParameters, asdict(make_parameters()) | found)
 
 
 def test_a_compass_that_is_mostly_noise_has_no_offset_that_fits() -> None:
-    summary = healthy()._replace(noise=(noise("compass", 15.0, "rad"),), compass_offset=1.0)
-    assert "compass_offset" not in found_parameters(summary)
+    fitting = (("compass_offset", 1.0), ("compass_delay", 1.0), ("lrf_pose_delay", 0.3))
+    summary = healthy()._replace(noise=(noise("compass", 15.0, "rad"),), fitting=fitting)
+    found = found_parameters(summary)
+    assert not {"compass_offset", "compass_delay"} & set(found)
+    assert found["lrf_pose_delay"] == 0.3
 
 
 def test_noise_of_a_yaw_that_is_not_used_is_not_found() -> None:

@@ -51,10 +51,13 @@ def test_the_value_that_would_fit_adds_to_the_configured_one() -> None:
     assert found[Sensor.COMPASS].values() == (
         ("lag of the stamps [s]", "-0.40"),
         ("its standard error [s]", "0.00"),
-        ("compass_delay", "-0.40 would fit"),
+        ("parameter that would fit", "compass_delay: -0.40"),
     )
     assert found[Sensor.LRF_POSE].message is SensorMessage.STAMPS_LATE
-    assert found[Sensor.LRF_POSE].values()[2] == ("lrf_pose_delay", "0.35 would fit")
+    assert found[Sensor.LRF_POSE].values()[2] == (
+        "parameter that would fit",
+        "lrf_pose_delay: 0.35",
+    )
 
 
 def reported(lag_s: float, seconds: float, **changes: float) -> list[tuple[Status, ...]]:
