@@ -37,9 +37,9 @@ VERDICTS = {
 """What a verdict means."""
 SIGN_NAMES = ("left_inverted", "right_inverted")
 """Parameters of the signs of the counts."""
-LARGEST_FACTOR = 4.0
-"""Factor between the two travel ratios, or of 1 over the smaller one, beyond which no size of the
-wheels is the reason, but a sign or swapped wheels."""
+LEAST_EXPLAINED = 0.8
+"""Share of the pose's displacement that wheels of wrong sizes still explain: simulated ones explain
+98 % or more, those of wrong signs 67 % or less, because distance and rotation are mixed up."""
 DIGITS = 4
 """Significant digits of a parameter that was found: more than it is known to."""
 _FIX_NOISES = tuple(name for name in MEASUREMENT_NOISES if name.startswith("fixes"))
@@ -262,8 +262,8 @@ def _wrong_travel(travel: TravelRatios, parameters: LocalizerParameters) -> str:
         return ""
     names: list[str] = []
     distance, rotation = wrong.get("travels", 1.0), wrong.get("rotates", 1.0)
-    smaller, larger = sorted((distance, rotation))
-    if smaller < 1.0 / LARGEST_FACTOR or larger > LARGEST_FACTOR * smaller:
+    mixed_up = travel.distance is not None and travel.distance.explained < LEAST_EXPLAINED
+    if mixed_up or min(distance, rotation) < 0.0:
         names = [*SIGN_NAMES, "whether left and right are swapped"]
     else:
         width = distance / rotation

@@ -44,10 +44,12 @@ class TravelRatio(NamedTuple):
     Attributes:
         ratio: 1 where the wheels are configured right.
         std: its standard deviation.
+        explained: share of the pose's travel that the wheels explain with this ratio, 0 to 1.
     """
 
     ratio: float
     std: float
+    explained: float
 
     @property
     def wrong(self) -> bool:
@@ -81,7 +83,11 @@ class _Sums:
             return None
         ratio = self.xy / self.xx
         left = max(self.yy - ratio * self.xy, 0.0)
-        return TravelRatio(ratio, math.sqrt(left / ((self.count - 1) * self.xx)))
+        return TravelRatio(
+            ratio=ratio,
+            std=math.sqrt(left / ((self.count - 1) * self.xx)),
+            explained=1.0 - left / self.yy if self.yy > 0.0 else 0.0,
+        )
 
 
 class _Window:

@@ -58,7 +58,7 @@ def healthy(**parameters: Any) -> HealthSummary:
             SensorNis(sensor, 1.0, 1000, honest_band(1000))
             for sensor in (Sensor.COMPASS, Sensor.LRF_POSE)
         ),
-        travel=TravelRatios(TravelRatio(0.98, 0.05), TravelRatio(0.97, 0.05)),
+        travel=TravelRatios(TravelRatio(0.98, 0.05, 0.99), TravelRatio(0.97, 0.05, 0.98)),
         sensors=tuple(SensorHealth(sensor, 1000, 0, 0, 0, 999, 0, 0) for sensor in Sensor),
         lasting="none",
         fitting=(),
@@ -170,22 +170,24 @@ def test_a_check_names_the_parameters_that_could_be_wrong(
 
 
 @pytest.mark.parametrize(
-    ("travelled", "rotated", "text"),
+    ("travelled", "rotated", "explained", "text"),
     [
-        (1.0, 2.0, "wheel_separation (0.3 would fit): the pose rotates 2.00"),
-        (4.0, 3.8, "wheel_radius (0.1 would fit), gear_ratio, encoder_counts_per_revolution: the "
-         "pose travels 4.00 and rotates 3.80"),
-        (0.5, 1.0, "wheel_radius (0.0125 would fit), gear_ratio, encoder_counts_per_revolution, "
-         "wheel_separation (0.3 would fit): the pose travels 0.50"),
-        (1.0, -1.0, "left_inverted, right_inverted, whether left and right are swapped: the pose "
-         "rotates -1.00"),
-        (5.9, 0.3, "left_inverted, right_inverted, whether left and right are swapped: the pose "
-         "travels 5.90 and rotates 0.30"),
+        (1.0, 2.0, 0.99, "wheel_separation (0.3 would fit): the pose rotates 2.00"),
+        (4.0, 3.8, 0.99, "wheel_radius (0.1 would fit), gear_ratio, encoder_counts_per_revolution: "
+         "the pose travels 4.00 and rotates 3.80"),
+        (0.5, 1.0, 0.99, "wheel_radius (0.0125 would fit), gear_ratio, "
+         "encoder_counts_per_revolution, wheel_separation (0.3 would fit): the pose travels 0.50"),
+        (1.0, -1.0, 0.99, "left_inverted, right_inverted, whether left and right are swapped: the "
+         "pose rotates -1.00"),
+        (5.9, 0.3, 0.4, "left_inverted, right_inverted, whether left and right are swapped: the "
+         "pose travels 5.90 and rotates 0.30"),
     ],
 )  # fmt: skip
-def test_a_check_tells_how_the_wheels_travel(travelled: float, rotated: float, text: str) -> None:
+def test_a_check_tells_how_the_wheels_travel(
+    travelled: float, rotated: float, explained: float, text: str
+) -> None:
     """Noise that this explains is not named beside it."""
-    ratios = TravelRatios(TravelRatio(travelled, 0.01), TravelRatio(rotated, 0.01))
+    ratios = TravelRatios(TravelRatio(travelled, 0.01, explained), TravelRatio(rotated, 0.01, 1.0))
     summary = healthy()._replace(travel=ratios, noise=(noise("rotation", 14.0),))
     assert checks(summary) == [f"{text} times as far as the wheels count"]
     assert not summary._replace(noise=()).healthy

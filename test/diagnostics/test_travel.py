@@ -71,6 +71,8 @@ def test_the_ratios_are_the_factors(distance: float, rotation: float) -> None:
     assert found.rotation is not None
     assert found.rotation.ratio == pytest.approx(rotation, rel=1e-9)
     assert found.distance.ratio == pytest.approx(distance, rel=2e-3)
+    assert found.distance.explained > 0.999
+    assert found.rotation.explained == pytest.approx(1.0, abs=1e-9)
     assert found.rotation.wrong is (rotation != 1.0)
     assert found.distance.wrong is (distance != 1.0)
 
@@ -86,6 +88,20 @@ def test_the_std_is_that_of_the_ratios_of_many_drives() -> None:
         assert typical == pytest.approx(spread, rel=0.4)
         assert np.mean([ratio.ratio for ratio in each]) == pytest.approx(1.0, abs=0.03)
         assert not any(ratio.wrong for ratio in each)
+
+
+def test_a_wheel_that_counts_backward_mixes_distance_and_rotation_up() -> None:
+    """What the wheels say of the distance is the robot's rotation, and the other way round."""
+    travel, half = Travel(PERIOD_S), 0.3
+    pose = np.zeros(3)
+    for number in range(12 * PERIODS_A_WINDOW):
+        motion = np.array([0.11, 0.06 if number % 70 < 45 else -0.08])
+        pose = move(MotionModel.EXACT_ARC, pose, motion).mean
+        counted = np.array([half * motion[1], motion[0] / half])  # left wheel inverted
+        travel.saw(estimate(number, pose, counted), moved=False)
+    ratios = travel.ratios()
+    assert ratios.distance is not None
+    assert ratios.distance.explained < 0.5
 
 
 def test_a_short_drive_and_a_robot_that_stands_have_no_ratio() -> None:
@@ -118,7 +134,7 @@ def test_a_pose_that_is_moved_and_a_gap_in_time_are_no_travel() -> None:
 
 def test_a_ratio_is_wrong_if_it_is_far_from_one_and_that_is_significant() -> None:
     small, large = 0.9 * LARGEST_ERROR, 1.1 * LARGEST_ERROR
-    assert not TravelRatio(1.0 + small, 1e-6).wrong
-    assert TravelRatio(1.0 + large, 0.9 * large / SIGMAS).wrong
-    assert TravelRatio(1.0 - large, 0.9 * large / SIGMAS).wrong
-    assert not TravelRatio(1.0 + large, 1.1 * large / SIGMAS).wrong
+    assert not TravelRatio(1.0 + small, 1e-6, 1.0).wrong
+    assert TravelRatio(1.0 + large, 0.9 * large / SIGMAS, 1.0).wrong
+    assert TravelRatio(1.0 - large, 0.9 * large / SIGMAS, 1.0).wrong
+    assert not TravelRatio(1.0 + large, 1.1 * large / SIGMAS, 1.0).wrong
