@@ -77,13 +77,16 @@ def health_lines(summary: HealthSummary, begin_ns: int) -> list[str]:
 
 
 def checks(summary: HealthSummary) -> list[str]:
-    """Return what to check: of wheels that travel otherwise, of noise far above the configured."""
-    found = []
+    """Return what to check: wheels that travel otherwise, or noise far above the configured one.
+
+    Wheels that travel otherwise explain noise of any sensor.
+    """
     travelled = _wrong_travel(summary.travel, summary.parameters)
-    wheels = _suspicious(summary.noise, PROCESS_NOISES)
     if travelled:
-        found.append(travelled)
-    elif wheels:
+        return [travelled]
+    found = []
+    wheels = _suspicious(summary.noise, PROCESS_NOISES)
+    if wheels:
         names = ["wheel_separation"]
         if wheels[0].name == PROCESS_NOISES[0]:  # not the rotation alone
             names = [*_size_names(summary.parameters), *names, *SIGN_NAMES]

@@ -188,7 +188,9 @@ def test_a_check_tells_how_the_wheels_travel(
 ) -> None:
     """Noise that this explains is not named beside it."""
     ratios = TravelRatios(TravelRatio(travelled, 0.01, explained), TravelRatio(rotated, 0.01, 1.0))
-    summary = healthy()._replace(travel=ratios, noise=(noise("rotation", 14.0),))
+    summary = healthy()._replace(
+        travel=ratios, noise=(noise("rotation", 14.0), noise("compass", 20.0))
+    )
     assert checks(summary) == [f"{text} times as far as the wheels count"]
     assert not summary._replace(noise=()).healthy
 
