@@ -9,8 +9,12 @@ from typing import Any
 
 import pytest
 from localizers import START_NS, make_parameters
+from places import ROOT
 
 from fnn_ekf_ros.diagnostics.health import (
+    HONEST_FACTOR,
+    SUSPICIOUS_FACTOR,
+    UNHEALTHY_SHARE,
     FoundNoise,
     HealthSummary,
     SensorHealth,
@@ -25,10 +29,11 @@ from fnn_ekf_ros.diagnostics.health_words import (
     plain_summary,
 )
 from fnn_ekf_ros.diagnostics.messages import fitting_value
-from fnn_ekf_ros.diagnostics.travel import TravelRatio, TravelRatios
+from fnn_ekf_ros.diagnostics.travel import LARGEST_ERROR, WINDOW_S, TravelRatio, TravelRatios
 from fnn_ekf_ros.diagnostics.wheel_sizes import SIZE_KEYS
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, fields_of
+from fnn_ekf_ros.stopping import UNHEALTHY
 from fnn_ekf_ros.timeline.events import Level, Move, Sensor
 
 SECOND_NS = 10**9
@@ -283,3 +288,17 @@ def test_the_plain_summary_is_json_and_has_every_number() -> None:
     assert plain["nis_per_degree_of_freedom"]["compass"]["verdict"] == "honest"
     assert plain["sensors"]["lrf_pose"]["in_time"] == 999
     assert plain["found_parameters"]["process_noise_std"][0] == 0.1
+
+
+def test_the_document_has_the_numbers_of_the_code() -> None:
+    text = " ".join((ROOT / "docs" / "operation.md").read_text(encoding="utf-8").split())
+    for words in (
+        f"above OK for more than {100.0 * UNHEALTHY_SHARE:g} % of the time",
+        f"that is {SUSPICIOUS_FACTOR:g} times the configured one (std) or more",
+        f"From {1.0 / HONEST_FACTOR:.2f} to {HONEST_FACTOR:g} the filter is honest",
+        f"right within {100.0 * (HONEST_FACTOR**0.5 - 1.0):.0f} %",
+        f"over windows of {WINDOW_S:g} s",
+        f"differ by more than {100.0 * LARGEST_ERROR:g} % and significantly",
+        f"ends with exit code {UNHEALTHY} if",
+    ):
+        assert words in text, words
