@@ -24,7 +24,8 @@ from fnn_ekf_ros.timeline.trajectory import Trajectory
 class _Collected:
     """Noise and statuses as they come; read by attributes, so bags' messages will do."""
 
-    def __init__(self) -> None:
+    def __init__(self, node: str = NODE_NAME) -> None:
+        self._node = node
         self.stamps_ns: list[int] = []
         self.seen: list[int] = []
         self.rows: list[FloatArray] = []
@@ -42,7 +43,7 @@ class _Collected:
         """Take a message of /diagnostics; statuses of other nodes are passed over."""
         time_ns = messages.stamp_ns(message)
         for status in message.status:
-            if status.hardware_id == NODE_NAME:
+            if status.hardware_id == self._node:
                 level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
                 self.status(str(status.name), StatusReport(time_ns, level, str(status.message)))
 
@@ -64,8 +65,8 @@ def read_run(bag: BagReader, odom_topic: str, fixes_topic: str | None = None) ->
     """
     track = read_trajectory(bag, odom_topic)
     twists: dict[int, tuple[float, float]] = {}
-    found = _Collected()
-    noise_topic = messages.absolute_name(f"~/{messages.NOISE}")
+    noise_topic = _noise_topic(bag, odom_topic)
+    found = _Collected(noise_topic.removesuffix(f"/{messages.NOISE}").lstrip("/"))
     wanted = {
         odom_topic: messages.ODOMETRY_TYPE, noise_topic: messages.NOISE_TYPE,
         messages.DIAGNOSTICS: messages.DIAGNOSTICS_TYPE,
@@ -161,6 +162,19 @@ def read_fixes(bag: BagReader, asked: str | None) -> Fixes | None:
     stamps: NDArray[np.int64] = np.array([messages.stamp_ns(m) for m in found], dtype=np.int64)
     pose = np.array([messages.planar_pose(message) for message in found]).reshape(-1, 3)
     return Fixes(stamps, pose)
+
+
+def _noise_topic(bag: BagReader, odom_topic: str) -> str:
+    """Return the topic of the noise: beside odom, of a node without namespace, or the only one."""
+    ending = f"/{NODE_NAME}/{messages.NOISE}"
+    beside = odom_topic.rpartition("/")[0] + ending
+    known = [
+        name for name, topic in bag.topics.items()
+        if name.endswith(ending) and topic.type_name == messages.NOISE_TYPE
+    ]  # fmt: skip
+    if beside in known or ending in known or len(known) != 1:
+        return beside if beside in known else ending
+    return known[0]
 
 
 def _take_statuses(found: _Collected, output: Output) -> None:

@@ -18,10 +18,14 @@ from fnn_ekf_ros.parameters.files import read_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.recordings.bag_files import BagReader
+from fnn_ekf_ros.recordings.bag_writer import BagWriter
 from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in
 from fnn_ekf_ros.recordings.run_record import RunRecord, StatusReport, noise_at
 from fnn_ekf_ros.recordings.runs import read_run, run_localizer
+from fnn_ekf_ros.timeline.events import Level, Status
 from fnn_ekf_ros.timeline.trajectory import Trajectory
+
+LAYOUT = messages.Message("std_msgs/msg/MultiArrayLayout", {"dim": [], "data_offset": 0})
 
 
 @pytest.mark.slow
@@ -56,6 +60,34 @@ def test_a_bag_of_replay_and_a_localizer_that_runs_give_the_same(
     with BagReader(recorded) as bag:
         assert len(read.fixes.time_ns) == bag.topics["/lrf_pose"].message_count
     assert "wheel_separation" in read.parameters
+
+
+@pytest.mark.parametrize(
+    ("odom", "node"),
+    [("/odom", "localizer"), ("/robot1/odom", "robot1/localizer"), ("/pose", "robot1/localizer")],
+)
+def test_a_node_in_a_namespace_is_found_beside_its_odom(
+    tmp_path: Path, odom: str, node: str
+) -> None:
+    pose, covariance = np.zeros(3), np.eye(6)
+    with BagWriter(tmp_path / "bag") as bag:
+        for second in range(3):
+            time_ns = second * 10**9
+            message = messages.odometry_message(
+                time_ns, "map", "base_link", pose, np.zeros(2), covariance, covariance
+            )
+            bag.write(odom, message, time_ns)
+            fields = {"layout": LAYOUT, "data": np.full(len(messages.NOISE_FIELDS), 0.5)}
+            noise = messages.Message(messages.NOISE_TYPE, fields)
+            bag.write(f"/{node}/noise", noise, time_ns)
+            for name, message_text in ((node, "running"), ("robot2/localizer", "lost")):
+                status = Status("filter", Level.OK, message_text, ())
+                bag.write("/diagnostics", messages.diagnostics(time_ns, name, (status,)), time_ns)
+    with BagReader(tmp_path / "bag") as bag_read:
+        run = read_run(bag_read, odom)
+    assert run.noise is not None
+    assert run.noise.get("nis").tolist() == [0.5, 0.5, 0.5]
+    assert [report.message for report in run.statuses["filter"]] == ["running"] * 3
 
 
 def test_noise_has_the_stamps_of_the_odom_that_it_came_with() -> None:
