@@ -3,7 +3,6 @@
 
 """What wheels say of the motion between odoms: corrections, and forecasts without any fix."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -96,9 +95,3 @@ def _carried(pose: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray
     d = (end - begin)[:, :2]
     c, s = np.cos(turn), np.sin(turn)
     return pose[:, :2] + np.stack([c * d[:, 0] - s * d[:, 1], s * d[:, 0] + c * d[:, 1]], axis=1)
-
-
-def typical(errors: FloatArray) -> float:
-    """Return the mean of errors that are known; NaN if none is."""
-    known = errors[np.isfinite(errors)]
-    return float(np.mean(known)) if len(known) else math.nan
