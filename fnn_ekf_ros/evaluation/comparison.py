@@ -33,20 +33,23 @@ MOST_PAIRS = 4000
 
 
 class Series(NamedTuple):
-    """Squared errors of a run over time, which are compared with another run's.
+    """Errors of a run over time, which are compared with another run's.
 
     Attributes:
         time_ns: `(n,)` [ns].
-        square: `(n,)` squared errors.
+        error: `(n,)` their sizes; NaN where not known.
+        power: 2: their root mean square is compared; 1: their mean, which single wild fixes do not
+            decide.
     """
 
     time_ns: NDArray[np.int64]
-    square: FloatArray
+    error: FloatArray
+    power: int = 2
 
-    def rms(self) -> float:
-        """Return the root of the mean; NaN where nothing is known."""
-        known = self.square[np.isfinite(self.square)]
-        return float(np.sqrt(np.mean(known))) if len(known) else math.nan
+    def size(self) -> float:
+        """Return the mean of the errors' powers, as an error; NaN where nothing is known."""
+        known = self.error[np.isfinite(self.error)]
+        return float(np.mean(known**self.power)) ** (1.0 / self.power) if len(known) else math.nan
 
 
 class Measure(NamedTuple):
@@ -54,7 +57,7 @@ class Measure(NamedTuple):
 
     Attributes:
         name: in a few words.
-        unit: of the root mean square.
+        unit: of the errors.
         series: of each run, by its name.
     """
 
@@ -67,7 +70,7 @@ class Difference(NamedTuple):
     """How two runs compare by a measure.
 
     Attributes:
-        ratio: root mean square of the one over that of the other.
+        ratio: size of the errors of the one over that of the other's.
         low: lower end of the 95 % interval of the ratio.
         high: its upper end.
         pairs: number of independent pairs.
@@ -105,25 +108,26 @@ def measures(runs: Mapping[str, Compared]) -> list[Measure]:
         found += _truth_measures(runs)
     found += [
         Measure(
-            f"forecast of fixes {gap_s:.0f} s ahead", "m",
+            f"forecast of fixes {gap_s:.0f} s ahead, mean", "m",
             {name: _forecast_of_fixes(each, gap_s) for name, each in runs.items()},
         )
         for gap_s in OUTAGES_S
     ]  # fmt: skip
     return [
         each for each in found
-        if all(np.any(np.isfinite(series.square)) for series in each.series.values())
+        if all(np.any(np.isfinite(series.error)) for series in each.series.values())
     ]  # fmt: skip
 
 
 def difference(one: Series, other: Series) -> Difference:
     """Return how the errors of one run compare with those of another at the same times.
 
-    By the delta method on the logarithm: with d = a / mean a - b / mean b of the squared errors a
-    and b, the standard error of log(mean a / mean b) is that of the mean of d.
+    By the delta method on the logarithm: with d = a / mean a - b / mean b of the powers a and b of
+    the errors, the standard error of log(mean a / mean b) is that of the mean of d.
     """
     common, mine, others = np.intersect1d(one.time_ns, other.time_ns, return_indices=True)
-    a, b = one.square[mine], other.square[others]
+    power = one.power
+    a, b = one.error[mine] ** power, other.error[others] ** power
     known = np.isfinite(a) & np.isfinite(b)
     a, b = a[known], b[known]
     if len(a) < 2 or not np.mean(a) > 0.0 or not np.mean(b) > 0.0:
@@ -131,15 +135,15 @@ def difference(one: Series, other: Series) -> Difference:
         return Difference(same, 0.0, math.inf, 0.0)
     d = a / np.mean(a) - b / np.mean(b)
     pairs = independent_values(d)
-    ratio = math.sqrt(float(np.mean(a) / np.mean(b)))
-    half = 0.5 * student_t(max(int(pairs) - 1, 1)) * float(np.std(d)) / math.sqrt(pairs)
+    ratio = float(np.mean(a) / np.mean(b)) ** (1.0 / power)
+    half = student_t(max(int(pairs) - 1, 1)) * float(np.std(d)) / math.sqrt(pairs) / power
     factor = math.exp(min(half, 50.0))
     return Difference(ratio, ratio / factor, ratio * factor, pairs)
 
 
 def judge(measure: Measure) -> str:
     """Say which run is best by a measure, and from which the data cannot tell it."""
-    sizes = {name: series.rms() for name, series in measure.series.items()}
+    sizes = {name: series.size() for name, series in measure.series.items()}
     best = min(sizes, key=lambda name: sizes[name])
     apart, alike, unknown = [], [], []
     for name, series in measure.series.items():
@@ -212,8 +216,8 @@ def _truth_measures(runs: Mapping[str, Compared]) -> list[Measure]:
         assert each.found.truth is not None
         matched = each.found.truth.matched
         e = matched.errors()
-        position[name] = Series(matched.time_ns, e[:, 0] ** 2 + e[:, 1] ** 2)
-        yaw[name] = Series(matched.time_ns, e[:, 2] ** 2)
+        position[name] = Series(matched.time_ns, np.hypot(e[:, 0], e[:, 1]))
+        yaw[name] = Series(matched.time_ns, np.abs(e[:, 2]))
     found = [Measure("position error", "m", position), Measure("yaw error", "rad", yaw)]
     found += [
         Measure(
@@ -231,7 +235,7 @@ def _forecast_of_truth(each: Compared, gap_s: float) -> Series:
     kept = _thinned(len(matched.time_ns))
     run = replace(each.run, track=aligned_track(each.run.track, each.found.truth.motion))
     found = forecasts(run, matched.time_ns[kept], matched.truth[kept, :2], gap_s)
-    return Series(found.time_ns, found.error**2)
+    return Series(found.time_ns, found.error)
 
 
 def _forecast_of_fixes(each: Compared, gap_s: float) -> Series:
@@ -242,7 +246,7 @@ def _forecast_of_fixes(each: Compared, gap_s: float) -> Series:
     time_ns, first = np.unique(fixes.time_ns, return_index=True)
     kept = _thinned(len(time_ns))
     found = forecasts(each.run, time_ns[kept], fixes.pose[first[kept], :2], gap_s)
-    return Series(found.time_ns, found.error**2)
+    return Series(found.time_ns, found.error, power=1)
 
 
 def _thinned(n: int) -> NDArray[np.intp]:

@@ -23,7 +23,7 @@ from fnn_ekf_ros.evaluation.evaluation import (
 from fnn_ekf_ros.evaluation.innovations import FIX_YAW
 from fnn_ekf_ros.evaluation.motion import corrections
 
-_NAME_WIDTH = 34
+_NAME_WIDTH = 40
 """Width of the first column [characters]."""
 _LEAST_WIDTH, _MOST_WIDTH = 12, 34
 """Least and largest width of the other columns [characters]."""
@@ -45,7 +45,9 @@ def comparison_lines(runs: Mapping[str, Compared], measures: Sequence[Measure]) 
     """Return the lines of the table; what no run has is left out."""
     lines = [Line("odom", [str(len(each.run.track.time_ns)) for each in runs.values()])]
     lines += [
-        Line(f"{each.name} [{each.unit}]", [_size(series.rms()) for series in each.series.values()])
+        Line(
+            f"{each.name} [{each.unit}]", [_size(series.size()) for series in each.series.values()]
+        )
         for each in measures
     ]
     if all(each.found.truth is not None for each in runs.values()):
@@ -97,7 +99,7 @@ def plain_comparison(runs: Mapping[str, Compared], measures: Sequence[Measure]) 
         content["runs"][name] = {
             **plain(each.found),
             **plain_run(each.run),
-            "measures": {measure.name: measure.series[name].rms() for measure in measures},
+            "measures": {measure.name: measure.series[name].size() for measure in measures},
         }
     finite: dict[str, Any] = without_nan(content)
     return finite
