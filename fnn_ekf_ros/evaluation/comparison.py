@@ -87,6 +87,24 @@ class Difference(NamedTuple):
         return self.pairs >= FEWEST_PAIRS and not self.low <= 1.0 <= self.high
 
 
+class Judgment(NamedTuple):
+    """The best run by a measure.
+
+    Attributes:
+        name: of the measure.
+        unit: of the errors.
+        best: the run with the smallest ones.
+        size: of its errors.
+        others: how the other runs compare with it.
+    """
+
+    name: str
+    unit: str
+    best: str
+    size: float
+    others: dict[str, Difference]
+
+
 class Compared(NamedTuple):
     """A run with all that is compared of it.
 
@@ -141,35 +159,53 @@ def difference(one: Series, other: Series) -> Difference:
     return Difference(ratio, ratio / factor, ratio * factor, pairs)
 
 
-def judge(measure: Measure) -> str:
-    """Say which run is best by a measure, and from which the data cannot tell it."""
+def judge(measure: Measure) -> Judgment:
+    """Find the run that is best by a measure, and from which the data tells it apart."""
     sizes = {name: series.size() for name, series in measure.series.items()}
     best = min(sizes, key=lambda name: sizes[name])
+    others = {
+        name: difference(series, measure.series[best])
+        for name, series in measure.series.items()
+        if name != best
+    }
+    return Judgment(measure.name, measure.unit, best, sizes[best], others)
+
+
+def judgment_in_words(found: Judgment) -> str:
+    """Say which run is best by a measure, and from which the data cannot tell it."""
     apart, alike, unknown = [], [], []
-    for name, series in measure.series.items():
-        if name == best:
-            continue
-        found = difference(series, measure.series[best])
-        if not found.pairs > 0.0 and math.isnan(found.ratio):
+    for name, each in found.others.items():
+        span = f"{each.low:.2f} to {min(each.high, 99.0):.2f}"
+        if not each.pairs > 0.0 and math.isnan(each.ratio):
             unknown.append(name)
-        elif found.told_apart:
-            apart.append(
-                f"{name} {found.ratio:.2f} times as large ({found.low:.2f} to {found.high:.2f})"
-            )
+        elif each.told_apart:
+            apart.append(f"{name} {each.ratio:.2f} times as large ({span})")
         else:
-            alike.append(
-                f"{name} ({found.ratio:.2f}, {found.low:.2f} to {min(found.high, 99.0):.2f})"
-            )
-    words = f"{measure.name}: "
+            alike.append(f"{name} ({each.ratio:.2f}, {span})")
+    parts = []
     if apart:
-        words += f"{best} is best, {sizes[best]:.3g} {measure.unit}; {', '.join(apart)}"
+        parts.append(f"{found.best} is best, {found.size:.3g} {found.unit}")
+        parts.append(", ".join(apart))
     if alike:
-        words += "; " if apart else ""
-        words += f"the data cannot tell {best} from {', '.join(alike)}"
+        parts.append(f"the data cannot tell {found.best} from {', '.join(alike)}")
     if unknown:
-        words += "; " if apart or alike else ""
-        words += f"{best} and {', '.join(unknown)} have no times in common"
-    return words
+        parts.append(f"{found.best} and {', '.join(unknown)} have no times in common")
+    return f"{found.name}: {'; '.join(parts)}"
+
+
+def conclusion(found: Sequence[Judgment]) -> str:
+    """Say in one line by what each run is better than all others, and where none is."""
+    best: dict[str, list[str]] = {}
+    nowhere = []
+    for each in found:
+        if each.others and all(other.told_apart for other in each.others.values()):
+            best.setdefault(each.best, []).append(each.name)
+        else:
+            nowhere.append(each.name)
+    parts = [f"{name} is best by {', '.join(names)}" for name, names in best.items()]
+    if nowhere:
+        parts.append(f"no run is told from all others by {', '.join(nowhere)}")
+    return f"in all: {'; '.join(parts) or 'there is nothing to compare by'}"
 
 
 def judge_consistency(runs: Mapping[str, Compared]) -> list[str]:

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 from fnn_ekf_ros.evaluation.comparison import (
     Compared,
     Measure,
+    conclusion,
     judge,
     judge_consistency,
+    judgment_in_words,
 )
 from fnn_ekf_ros.evaluation.evaluation import (
     STATE_DEGREES,
@@ -89,7 +91,8 @@ def format_comparison(names: Sequence[str], lines: Sequence[Line]) -> str:
 
 def verdicts(runs: Mapping[str, Compared], measures: Sequence[Measure]) -> list[str]:
     """Return which run is better by what, and where the data cannot tell."""
-    return [judge(measure) for measure in measures] + judge_consistency(runs)
+    found = [judge(measure) for measure in measures]
+    return [*map(judgment_in_words, found), *judge_consistency(runs), conclusion(found)]
 
 
 def plain_comparison(runs: Mapping[str, Compared], measures: Sequence[Measure]) -> dict[str, Any]:

@@ -13,9 +13,11 @@ from fnn_ekf_ros.evaluation.comparison import (
     Compared,
     Measure,
     Series,
+    conclusion,
     difference,
     judge,
     judge_consistency,
+    judgment_in_words,
     measures,
 )
 from fnn_ekf_ros.evaluation.evaluation import evaluate
@@ -81,18 +83,21 @@ def test_runs_are_compared_at_their_common_times() -> None:
     assert difference(one, other).ratio == pytest.approx(1.0)
     elsewhere = Series(TIMES + 10**15, error)
     assert not difference(one, elsewhere).told_apart
-    said = judge(Measure("position error", "m", {"a": one, "b": elsewhere}))
+    said = judgment_in_words(judge(Measure("position error", "m", {"a": one, "b": elsewhere})))
     assert said in [f"position error: {x} have no times in common" for x in ("a and b", "b and a")]
 
 
 def test_sentences() -> None:
     a, b = np.abs(correlated(7, 2, 0.5)).T
     series = {"a": Series(TIMES, a), "b": Series(TIMES, 2.0 * a), "c": Series(TIMES, b)}
-    said = judge(Measure("position error", "m", series))
+    judgment = judge(Measure("position error", "m", series))
+    said = judgment_in_words(judgment)
     assert said.startswith("position error: ")
     assert " is best, " in said
     assert "b 2.0" in said or "b 1.9" in said
     assert "the data cannot tell" in said
+    assert conclusion([judgment]) == "in all: no run is told from all others by position error"
+    assert conclusion([]) == "in all: there is nothing to compare by"
 
 
 def test_an_aligned_run_forecasts_the_truth_as_the_run_that_needs_no_alignment() -> None:
@@ -122,7 +127,8 @@ def test_truth_and_forecasts_are_compared_where_all_runs_have_them() -> None:
         "position error", "yaw error", "forecast of truth 10 s ahead",
         "forecast of truth 100 s ahead",
     ]  # fmt: skip
-    assert judge(found[0]).startswith("position error: good is best")
+    assert judgment_in_words(judge(found[0])).startswith("position error: good is best")
+    assert conclusion([judge(found[0])]) == "in all: good is best by position error"
     assert judge_consistency(runs)[0] == "NEES: good is honest, bad is not"
     alone = {name: each._replace(truth=None, found=evaluate(each.run, None))
              for name, each in runs.items()}  # fmt: skip
