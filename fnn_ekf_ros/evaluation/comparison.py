@@ -126,7 +126,7 @@ def measures(runs: Mapping[str, Compared]) -> list[Measure]:
         found += _truth_measures(runs)
     found += [
         Measure(
-            f"forecast of fixes {gap_s:.0f} s ahead, mean", "m",
+            f"mean forecast of fixes {gap_s:.0f} s ahead", "m",
             {name: _forecast_of_fixes(each, gap_s) for name, each in runs.items()},
         )
         for gap_s in OUTAGES_S

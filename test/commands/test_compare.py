@@ -72,7 +72,7 @@ def test_bags_of_replay_give_what_parameter_sets_give_and_without_truth_too(
     blind = [tmp_path / f"{name}_blind" for name in ("right", "wrong")]
     said = succeed("compare", *blind, *labels)
     assert "position error" not in said
-    assert "forecast of fixes 10 s ahead, mean: " in said
+    assert "mean forecast of fixes 10 s ahead: " in said
     assert "NIS: right is honest, wrong is not" in said
     assert "NEES" not in said
     lent = succeed("compare", *blind, *labels, "--truth-bag", bag)
