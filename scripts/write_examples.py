@@ -34,6 +34,7 @@ BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
 DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
 """Lines of the README's table, and the arguments of `replay` for each in scripts/demo.py."""
 MEASURED = ("bias.yaml", "late.yaml", "health.json")
+MEASURED = ("bias.yaml", "late.yaml", "fixed.yaml")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
 """Line of the demo's table whose estimated noise is shown."""
@@ -213,6 +214,14 @@ def compared(folder: Path) -> str:
     """Return what `compare` prints of the demo's EKF and FNN-EKF."""
     bags = demo_bag("EKF", folder), demo_bag(ADAPTED, folder)
     return printed_lines(run(["compare", *bags, "--labels", "EKF", "FNN-EKF"], folder))
+def diagnosed(folder: Path) -> str:
+    """Return what `doctor` prints in the example of README.md after its table."""
+    own = folder / "doctor"
+    own.mkdir(exist_ok=True)
+    printed = run_lines(example("README.md", "fixed.yaml").lines, own)
+    _, _, findings = printed.partition("/right_ticks")
+    lines = [line for line in findings.splitlines()[1:] if line]
+    return "".join(f"    {line}\n" for line in lines)
 
 
 SHOWN = (
@@ -220,6 +229,7 @@ SHOWN = (
         Shown("README.md", label, rf"^\| {label} \| ({NUMBERS}) \|$", partial(demo_row, label))
         for label in DEMO_RUNS
     ),
+    Shown("README.md", "doctor", rf"it prints:\n\n({INDENTED})", diagnosed),
     Shown("docs/diagnostics.md", "after two seconds",
           rf"Two seconds into the fault:\n\n({INDENTED})", partial(report, 2.0)),
     Shown("docs/diagnostics.md", "after fifteen seconds",

@@ -26,6 +26,8 @@ from fnn_ekf_ros.calibration.rotation import DELAY_STEP_S, LARGEST_DELAY_S, RATE
 from fnn_ekf_ros.calibration.travel import WheelTravel
 from fnn_ekf_ros.core.arrays import FloatArray
 
+MIRROR_MARGIN = 10.0
+"""Log likelihood by which a mirrored yaw has to fit the fixes better [nats]."""
 ComplexArray = NDArray[np.complex128]
 """Array of complex numbers x + i y."""
 
@@ -53,8 +55,11 @@ class DisplacementFit(NamedTuple):
 
 def fit_displacement(
     travel: WheelTravel, yaw: FloatArray, times: FloatArray, positions: FloatArray
-) -> DisplacementFit:
-    """Return how fixes depend on the wheels' travel in the direction of a yaw.
+) -> tuple[DisplacementFit, int]:
+    """Return how fixes depend on the wheels' travel in the direction of a yaw, and handedness.
+
+    The handedness is +1 if the fixes' path goes the way the yaw says, -1 if it is mirrored, and 0
+    if that cannot be told; the fit is with -yaw if it is -1.
 
     Args:
         travel: of the wheels.
@@ -62,10 +67,23 @@ def fit_displacement(
         times: `(k,)` stamps of the fixes, rising [s].
         positions: `(k, 2)` x, y of the fixes [m].
     """
-    travelled = _dead_reckoned(travel, yaw)
     breaks = travel.breaks(times)
+    paths = [_dead_reckoned(travel, sign * yaw) for sign in (1.0, -1.0)]
+    fits = [
+        fit_drifting(times, positions, _free(_at(travel, path, times)), breaks) for path in paths
+    ]
+    margin = fits[0].log_likelihood - fits[1].log_likelihood
+    handedness = 0 if abs(margin) < MIRROR_MARGIN else (1 if margin > 0.0 else -1)
+    chosen = 1 if handedness < 0 else 0
+    return _refined(travel, paths[chosen], fits[chosen], positions), handedness
+
+
+def _refined(
+    travel: WheelTravel, travelled: ComplexArray, fit: DriftFit, positions: FloatArray
+) -> DisplacementFit:
+    """Return a fit with a delay and with both coefficients along one direction."""
+    times = fit.drift.times
     moved = _at(travel, travelled, times)
-    fit = fit_drifting(times, positions, _free(moved), breaks)
     delays = np.arange(-LARGEST_DELAY_S, LARGEST_DELAY_S + 1e-9, DELAY_STEP_S)
     shifted = np.stack([_free(_at(travel, travelled, times - each)) for each in delays])
     delay = float(delays[int(np.argmax(profile(fit.drift, positions, shifted)))])

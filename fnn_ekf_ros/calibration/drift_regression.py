@@ -32,7 +32,8 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 
 OUTLIER_FROM = 2.5
-"""Innovation from which on a reading gets less weight [standard deviations]."""
+"""Innovation from which on a reading gets less weight [standard deviations]: with its fourth power,
+so that the further an outlier is, the less it counts."""
 ROUNDS = 5
 """Rounds of weights and coefficients; more change neither by a tenth of a standard error."""
 RATIOS = 10.0 ** np.arange(-5.0, 2.1, 0.5)
@@ -73,7 +74,7 @@ class DriftFit(NamedTuple):
     Attributes:
         coefficients: `(p,)` b.
         covariance: `(p, p)` of b.
-        noise_std: sqrt(r), of one reading, in its unit.
+        noise_std: sqrt(r), of one reading that is no outlier, in its unit.
         log_likelihood: of the readings, up to a constant; comparable among fits of the same ones.
         explained: share of the innovations of y that X explains, up to 1.
         drift: what the regression found out about the noise.
@@ -170,7 +171,7 @@ def fit_with(drift: Drift, readings: FloatArray, columns: FloatArray) -> DriftFi
     return DriftFit(
         coefficients=coefficients[0],
         covariance=_covariance(drift.times, fitted, fitted, left, variance),
-        noise_std=float(np.sqrt(variance)),
+        noise_std=_robust_std(left[np.isfinite(seen.spread[:, 0])]),
         log_likelihood=float(scores[0]),
         explained=1.0 - float(np.sum(left**2) / (np.sum(white[..., 0] ** 2) + NOTHING)),
         drift=drift,
@@ -260,11 +261,16 @@ def _weights(seen: _Filtered, at: int, coefficients: FloatArray) -> FloatArray:
     white, spread = seen.white[:, at], seen.spread[:, at]
     left = white[..., 0] - white[..., 1:] @ coefficients
     used = np.isfinite(spread)
-    scale = 1.4826 * np.median(np.abs(left[used])) if used.any() else 1.0
+    scale = _robust_std(left[used])
     plain = np.where(used, spread, 0.0)[:, None] * left
     size = np.sqrt(np.mean(plain**2, axis=-1) / (seen.predicted[:, at] + 1.0))
     relative = OUTLIER_FROM * max(scale, NOTHING) / np.maximum(size, NOTHING)
-    return np.asarray(np.minimum(1.0, relative) ** 2)
+    return np.asarray(np.minimum(1.0, relative) ** 4)
+
+
+def _robust_std(values: FloatArray) -> float:
+    """Return the standard deviation of most values, by their median size."""
+    return 1.4826 * float(np.median(np.abs(values))) if values.size else 1.0
 
 
 def _covariance(

@@ -33,8 +33,6 @@ UNIT_TOLERANCE = 1.4
 RANDOM_BELOW = 0.2
 """Mean resultant length of the changes of a yaw, beside the wheels, below which it is random; noise
 of 1.3 rad gives that, ten times a compass's."""
-MIRROR_MARGIN = 10.0
-"""Log likelihood by which a mirrored yaw has to fit the fixes better [nats]."""
 WEAK_SHARE = 0.05
 """Share of the fixes' changes that wheels and yaw have to explain for a fit to count."""
 
@@ -189,13 +187,9 @@ def _varies(yaw: FloatArray) -> bool:
 def _source(travel: WheelTravel, fit: YawFit, fixes: FloatArray) -> YawSource:
     if len(fixes) < FEWEST_READINGS:
         return YawSource(fit, None, 0, 1.0)
-    yaw = fit.yaw_at(travel, travel.times, 0.0)
-    straight, mirrored = (
-        fit_displacement(travel, sign * yaw, fixes[:, 0], fixes[:, 1:3]) for sign in (1.0, -1.0)
-    )
-    margin = straight.log_likelihood - mirrored.log_likelihood
-    handedness = 0 if abs(margin) < MIRROR_MARGIN else int(np.sign(margin))
-    return YawSource(fit, mirrored if handedness < 0 else straight, handedness, 1.0)
+    yaw = fit.yaw_at(travel, travel.times)
+    displacement, handedness = fit_displacement(travel, yaw, fixes[:, 0], fixes[:, 1:3])
+    return YawSource(fit, displacement, handedness, 1.0)
 
 
 def _likelihood(source: YawSource) -> float:
@@ -218,5 +212,5 @@ def _averaged(readings: FloatArray) -> FloatArray:
 
 def turned(travel: WheelTravel, fit: YawFit) -> float:
     """Return the range of directions that the robot had in a drive, by a yaw sensor [rad]."""
-    yaw = fit.yaw_at(travel, travel.times, 0.0)
+    yaw = fit.yaw_at(travel, travel.times)
     return float(np.ptp(yaw))

@@ -99,7 +99,9 @@ def examine(drive: Drive, configured: Mapping[str, Any]) -> Examined:
         findings.append(_random(readings))
     if explanation is None:
         return Examined(in_order(findings), evidence)
-    context = Context(configured, evidence, explanation, _intervals(drive))
+    context = Context(
+        configured, evidence, explanation, float(np.median(np.diff(drive.left[:, 0])))
+    )
     sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
     rotation = max((turned(readings.travel, each.fit) for each in sources), default=math.inf)
     found = geometry_findings(context)
@@ -138,15 +140,6 @@ def _as_configured_fixes(fixes: FloatArray, configured: Mapping[str, Any]) -> Fl
     delay = float(configured.get("lrf_pose_delay", 0.0))
     offset = float(configured["lrf_yaw_offset"])
     return fixes * [1.0, scale, scale, 1.0] + [-delay, 0.0, 0.0, offset]
-
-
-def _intervals(drive: Drive) -> dict[str, float]:
-    named = {"wheels": drive.left, "compass": drive.compass, "fixes": drive.fixes}
-    return {
-        name: float(np.median(np.diff(readings[:, 0])))
-        for name, readings in named.items()
-        if len(readings) > 1
-    }
 
 
 def _counter_findings(counters: list[Counter], bits: int | None) -> list[Finding]:

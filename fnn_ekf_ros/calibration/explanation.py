@@ -330,7 +330,7 @@ def _predicted(kind: str, x: FloatArray, wiring: Wiring, evidence: Evidence) -> 
         wiring.unit * 0.5 * (right + left),
         wiring.unit * 0.5 * (right - left),
         offsets[0],
-        x[6] - (x[5] if from_compass else x[6]),
+        x[6] - _yaw_share(evidence) * ((x[5] if from_compass else x[6]) - _taken_off(evidence)),
         offsets[1],
     ])  # fmt: skip
 
@@ -399,9 +399,21 @@ def _slope(kind: str, x: FloatArray, wiring: Wiring, evidence: Evidence) -> Floa
         return slope
     best, other = (3, 4) if evidence.best is evidence.compass else (4, 3)
     slope[2, best] = slope[4, other] = 1.0
-    if best == 3:
-        slope[3, 6], slope[3, 5] = 1.0, -1.0
+    slope[3, 6] = 1.0
+    slope[3, 5 if best == 3 else 6] -= _yaw_share(evidence)
     return slope
+
+
+def _yaw_share(evidence: Evidence) -> float:
+    """Return how much of the direction of travel is the yaw sensor's rather than the wheels'.
+
+    Where wheels explain the yaw, directions are on their clock, whatever the sensor's stamps are.
+    """
+    return 0.0 if evidence.best is None else 1.0 - max(evidence.best.fit.explained, 0.0)
+
+
+def _taken_off(evidence: Evidence) -> float:
+    return 0.0 if evidence.best is None else evidence.best.fit.level_delay_s
 
 
 def _start(observed: list[_Observed], wiring: Wiring, free: tuple[str, ...]) -> FloatArray:

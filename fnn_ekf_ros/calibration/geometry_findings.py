@@ -19,9 +19,9 @@ LEAST_ANGLE = 0.1
 """Smallest offset of a yaw [rad]."""
 LEAST_DELAY_S = 0.1
 """Smallest delay that matters [s]."""
-SAMPLED = 0.75
-"""Smallest delay as a part of the time between two readings: a sensor that is read late within its
-interval, or a wheel that is, is off by up to half of it."""
+SAMPLED = 1.0
+"""Smallest delay as a part of the time between two readings of a wheel: speeds that are sampled
+once in an interval, or read late in it, are off by up to that."""
 NEAR = 0.06
 """Part by which a factor may differ from one that is typical of a mistake."""
 COUNT_FACTORS = (4.0, 2.0, 0.5, 0.25)
@@ -39,7 +39,7 @@ class Context:
         configured: parameters of the localizer, by name; lengths may be out of range.
         evidence: what the readings say.
         explanation: what explains it.
-        intervals: usual time between two readings, by "wheels", "compass", "fixes" [s].
+        wheel_interval_s: usual time between two readings of a wheel [s].
     """
 
     def __init__(
@@ -47,10 +47,10 @@ class Context:
         configured: Mapping[str, Any],
         evidence: Evidence,
         explanation: Explanation,
-        intervals: Mapping[str, float],
+        wheel_interval_s: float,
     ) -> None:
         self.configured, self.evidence = configured, evidence
-        self.explanation, self.intervals = explanation, intervals
+        self.explanation, self.wheel_interval_s = explanation, wheel_interval_s
 
     def odds(self, *names: str) -> float | None:
         """Return the log odds of the first of some mistakes that was made; None if none was."""
@@ -310,10 +310,7 @@ def _delays(context: Context) -> list[Finding]:
             continue
         by, std = context.explanation.value(name), context.explanation.std(name)
         about = float(context.configured.get(parameter, 0.0))
-        intervals = context.intervals
-        least = max(
-            LEAST_DELAY_S, SAMPLED * max(intervals.get(sensor, 0.0), intervals.get("wheels", 0.0))
-        )
+        least = max(LEAST_DELAY_S, SAMPLED * context.wheel_interval_s)
         found.append(
             Finding(
                 name,

@@ -17,7 +17,9 @@ import numpy as np
 
 from fnn_ekf_ros.calibration.drift_regression import (
     Drift,
+    DriftFit,
     fit_drifting,
+    fit_with,
     fit_with_instruments,
     profile,
     smoothed,
@@ -33,6 +35,9 @@ INSTRUMENT_LAGS_S = (0.0, 0.15, 0.3, 0.6)
 """Ages of the travel that serves as instruments [s]; turns last for about a second."""
 LONG_S = 16.0
 """Time over which rotations are compared once more [s]."""
+EXPLAINED = 0.8
+"""Share of the yaw's changes explained by the wheels from which on least squares need no
+instruments: feedback then biases them by 2 %, and instruments would double the standard errors."""
 WEAK_DELAY_STD_S = 0.15
 """Standard error of a delay from which on the readings do not show it, and it is taken for 0 [s]:
 two-stage least squares are far from normal where instruments are weak."""
@@ -55,6 +60,7 @@ class YawFit(NamedTuple):
         times: `(n,)` stamps of the readings, by which `level` is given [s].
         track: `(2,)` a_s, a_d that `level` goes with.
         level: `(n,)` the yaw, unwrapped, without the wheels' part [rad].
+        level_delay_s: delay that was taken off the stamps for it [s].
     """
 
     coefficients: FloatArray
@@ -66,10 +72,14 @@ class YawFit(NamedTuple):
     times: FloatArray
     track: FloatArray
     level: FloatArray
+    level_delay_s: float
 
-    def yaw_at(self, travel: WheelTravel, times: FloatArray, delay_s: float) -> FloatArray:
-        """Return the sensor's yaw, unwrapped, at instants of the wheels' clock [rad]."""
-        level = np.interp(times, self.times - delay_s, self.level)
+    def yaw_at(self, travel: WheelTravel, times: FloatArray) -> FloatArray:
+        """Return the yaw, unwrapped, at instants of the wheels' clock [rad].
+
+        The sensor's stamps are put right by `level_delay_s`.
+        """
+        level = np.interp(times, self.times - self.level_delay_s, self.level)
         return np.asarray(travel.mean_and_half_difference(times) @ self.track + level)
 
 
@@ -91,17 +101,21 @@ def fit_yaw(
     for _ in range(2):
         fit = fit_drifting(times, unwrapped[:, None], columns[:, None, :], breaks)
         unwrapped = _unwrapped(yaw, columns @ fit.coefficients)
-    delays = np.arange(-LARGEST_DELAY_S, LARGEST_DELAY_S + 1e-9, DELAY_STEP_S)
-    shifted = np.stack([travel.mean_and_half_difference(times - each) for each in delays])
-    scores = profile(fit.drift, unwrapped[:, None], shifted[:, :, None, :])
-    delay = float(delays[int(np.argmax(scores))])
-    long_changes = _long_changes(times, unwrapped, columns, breaks)
-    coefficients, covariance = _with_instruments(travel, fit.drift, unwrapped, delay)
+    fit, delay = _aligned(travel, fit, unwrapped)
+    if fit.explained >= EXPLAINED:
+        coefficients, covariance = _estimated(
+            travel, fit.drift, unwrapped, delay, instruments=False
+        )
+    else:
+        coefficients, covariance = _estimated(travel, fit.drift, unwrapped, delay, instruments=True)
     if math.sqrt(covariance[2, 2]) > WEAK_DELAY_STD_S:
         coefficients, covariance = _without_delay(travel, fit.drift, unwrapped)
+    long_changes = _long_changes(times, unwrapped, columns, breaks)
     if not np.any(np.isnan(long_changes)):
         half = 0.5 * (long_changes - coefficients[:2])
         covariance[:2, :2] += np.outer(half, half)
+    delay = float(coefficients[2])
+    explained = travel.mean_and_half_difference(times - delay) @ coefficients[:2]
     return YawFit(
         coefficients=coefficients,
         covariance=covariance,
@@ -110,38 +124,60 @@ def fit_yaw(
         long_changes=long_changes,
         readings=len(times),
         times=times,
-        track=fit.coefficients,
-        level=smoothed(fit.drift, unwrapped - columns @ fit.coefficients),
+        track=coefficients[:2],
+        level=smoothed(fit.drift, unwrapped - explained),
+        level_delay_s=delay,
     )
 
 
-def _with_instruments(
-    travel: WheelTravel, drift: Drift, unwrapped: FloatArray, delay: float
+def _aligned(travel: WheelTravel, fit: DriftFit, unwrapped: FloatArray) -> tuple[DriftFit, float]:
+    """Return the fit at the delay of highest likelihood, and that delay [s]."""
+    times, breaks = fit.drift.times, fit.drift.breaks
+    delays = np.arange(-LARGEST_DELAY_S, LARGEST_DELAY_S + 1e-9, DELAY_STEP_S)
+    shifted = np.stack([travel.mean_and_half_difference(times - each) for each in delays])
+    scores = profile(fit.drift, unwrapped[:, None], shifted[:, :, None, :])
+    best = int(np.argmax(scores))
+    delay = float(delays[best])
+    if abs(delay) < DELAY_STEP_S:
+        return fit, delay
+    return fit_drifting(times, unwrapped[:, None], shifted[best][:, None, :], breaks), delay
+
+
+def _estimated(
+    travel: WheelTravel, drift: Drift, unwrapped: FloatArray, delay: float, *, instruments: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a_s, a_d and the delay, and their covariance, free of the driver's feedback."""
-    times = drift.times
+    """Return a_s, a_d and the delay with their covariance, by Gauss-Newton on the delay.
+
+    With instruments they are free of the driver's feedback; without, less noisy.
+    """
+    times, readings = drift.times, unwrapped[:, None]
     found, covariance = np.zeros(3), np.eye(3)
     for _ in range(4):
-        columns = travel.mean_and_half_difference(times - delay)
-        lagged = [travel.mean_and_half_difference(times - delay - lag) for lag in INSTRUMENT_LAGS_S]
-        instruments = np.concatenate(lagged, axis=-1)
-        slope, _ = fit_with_instruments(
-            drift, unwrapped[:, None], columns[:, None, :], instruments[:, None, :]
-        )
+        columns = travel.mean_and_half_difference(times - delay)[:, None, :]
+        earlier = [
+            travel.mean_and_half_difference(times - delay - lag) for lag in INSTRUMENT_LAGS_S
+        ]
+        known = np.concatenate(earlier, axis=-1)[:, None, :]
+        slope = _solved(drift, readings, columns, known if instruments else None)[0]
         ahead = travel.mean_and_half_difference(times - delay + RATE_HALF_WINDOW_S)
         behind = travel.mean_and_half_difference(times - delay - RATE_HALF_WINDOW_S)
         rate = (ahead - behind) @ slope / (2.0 * RATE_HALF_WINDOW_S)
-        found, covariance = fit_with_instruments(
-            drift,
-            unwrapped[:, None],
-            np.concatenate([columns, -rate[:, None]], axis=-1)[:, None, :],
-            instruments[:, None, :],
-        )
+        columns = np.concatenate([columns, -rate[:, None, None]], axis=-1)
+        found, covariance = _solved(drift, readings, columns, known if instruments else None)
         step = float(np.clip(found[2], -0.2, 0.2))
         delay = float(np.clip(delay + step, -LARGEST_DELAY_S, LARGEST_DELAY_S))
         if abs(step) < 2e-3:
             break
     return np.array([found[0], found[1], delay]), covariance
+
+
+def _solved(
+    drift: Drift, readings: FloatArray, columns: FloatArray, instruments: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    if instruments is not None:
+        return fit_with_instruments(drift, readings, columns, instruments)
+    fit = fit_with(drift, readings, columns)
+    return fit.coefficients, fit.covariance
 
 
 def _without_delay(

@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         findings = in_order([
             *plan.findings, *configured.findings, *readings.joint_findings(), *clocks,
             *_edge_findings(plan, facts, values, readings),
-            *_without_doubles(examined.findings, clocks), *_unset(configured, examined),
+            *_without_doubles(configured, examined.findings, clocks), *_unset(configured, examined),
         ])  # fmt: skip
         obstacle = _obstacle(bag, given, names, findings)
     print(as_text(arguments.bag, bag.duration_s, tuple(facts.values()), findings, obstacle))
@@ -177,16 +177,22 @@ def _out_of_range(name: str, value: float, limits: str) -> Finding:
 def _unset(configured: Configured, examined: Examined) -> list[Finding]:
     """Return the parameters that must be set, with what the drive says they are."""
     estimates = {change.parameter: change for change in examined.estimates}
+    radius = estimates.get("wheel_radius")
+    counts = "encoder_counts_per_revolution"
     found = []
     for name in configured.unset:
         change = estimates.get(name)
-        if name == "encoder_counts_per_revolution":
+        evidence = "the value that fits this drive" if radius else "measure it"
+        if name == counts and "wheel_radius" in configured.unset:
             change = Change(name, PLACEHOLDER[name], unit="counts")
+            evidence = "any value does where wheel_radius is made to fit"
+        elif name == counts and radius is not None:
+            change = _counts_for(float(configured.values["wheel_radius"]), radius)
         found.append(
             Finding(
                 "not_set",
                 f"{name} is not set",
-                "the value that fits this drive" if change else "measure it",
+                evidence,
                 Certainty.CERTAIN,
                 (change,) if change else (),
             )
@@ -194,13 +200,35 @@ def _unset(configured: Configured, examined: Examined) -> list[Finding]:
     return found
 
 
-def _without_doubles(findings: Sequence[Finding], clocks: Sequence[Finding]) -> list[Finding]:
-    """Return findings without delays of sensors whose clock was found to be wrong already."""
+def _counts_for(wheel_radius: float, fitting: Change) -> Change:
+    """Return the counts per revolution with which a radius fits, instead of the fitting radius."""
+    name = "encoder_counts_per_revolution"
+    value, low, high = (
+        PLACEHOLDER[name] * wheel_radius / float(each)
+        for each in (fitting.value, fitting.high, fitting.low)
+    )
+    return Change(name, value, low, high, "counts")
+
+
+def _without_doubles(
+    configured: Configured, findings: Sequence[Finding], clocks: Sequence[Finding]
+) -> list[Finding]:
+    """Return findings without those of another one's cause.
+
+    These are delays of a sensor whose clock is wrong, and sizes that were placeholders.
+    """
     known = {change.parameter for clock in clocks for change in clock.changes}
+    unset = set(configured.unset)
+    placeholders = set()
+    if unset & {"wheel_radius", "encoder_counts_per_revolution"}:
+        placeholders.add("meters_per_count")
+    if "wheel_separation" in unset:
+        placeholders.add("wheel_separation")
     return [
         finding
         for finding in findings
-        if not any(change.parameter in known for change in finding.changes)
+        if finding.name not in placeholders
+        and not any(change.parameter in known for change in finding.changes)
     ]
 
 

@@ -16,6 +16,7 @@ from faults.rows import ROWS
 from places import ROOT
 
 from fnn_ekf_ros import cli
+from fnn_ekf_ros.calibration.findings import KINDS
 from fnn_ekf_ros.commands.study import OWN_MODULES
 from fnn_ekf_ros.core import relocation
 from fnn_ekf_ros.diagnostics.messages import MESSAGES, NAMES
@@ -159,6 +160,13 @@ def test_the_robot_of_the_readme_is_one_that_the_localizer_takes() -> None:
 def test_diagnostics_has_the_table_of_thresholds_of_the_code() -> None:
     text = (ROOT / "docs" / "diagnostics.md").read_text(encoding="utf-8")
     assert text == write_thresholds.with_table(text), "scripts/write_thresholds.py writes it"
+
+
+def test_doctor_lists_every_finding_and_no_others() -> None:
+    rows = re.findall(
+        r"^\| `(\w+)` \| (.*) \|$", (ROOT / "docs/doctor.md").read_text(), re.MULTILINE
+    )
+    assert rows == list(KINDS.items())
 
 
 def test_no_threshold_is_in_the_table_twice() -> None:
