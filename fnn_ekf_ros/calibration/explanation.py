@@ -35,18 +35,23 @@ SPIKE_STD = np.array([0.01, 0.003, 0.015, 0.03, 0.03, 0.03, 0.03])
 SLAB_STD = np.array([4.0, 1.0, 4.0, 2.0, 2.0, 0.5, 0.5])
 """Standard deviation of each number that is wrong."""
 COST = {
-    "scale": 6.0, "ratio": 6.0, "left_wheel": 6.5, "right_wheel": 6.5, "separation": 6.0,
-    "compass_offset": 6.0, "fix_yaw_offset": 6.0, "compass_delay": 6.0, "fix_delay": 6.0,
+    "scale": 3.0, "ratio": 3.0, "left_wheel": 3.5, "right_wheel": 3.5, "separation": 3.0,
+    "compass_offset": 3.0, "fix_yaw_offset": 3.0, "compass_delay": 3.0, "fix_delay": 3.0,
     "left_inverted": 8.0, "right_inverted": 8.0, "swapped": 9.0, "compass_clockwise": 8.0,
-    "fix_yaw_clockwise": 12.0, "fixes_mirrored": 18.0, "fix_unit": 12.0,
+    "fix_yaw_clockwise": 12.0, "fixes_mirrored": 18.0, "fix_unit": 9.0,
 }  # fmt: skip
-"""Log odds that each mistake costs [nats]: a number has to explain 12 in chi square."""
+"""Log odds that each mistake costs [nats]: a number has to explain 6 in chi square."""
 PRUNED_BELOW = 30.0
 """Log posterior below the best one, with all numbers free, from which on a wiring is left out."""
 UNKNOWN_STD = 1e3
 """Standard deviation of what was not observed [rad]."""
-FIX_UNITS = (1000.0, 100.0, 0.001)
-"""Units of the fixes a meter, if they are not meters: millimeters, centimeters, kilometers."""
+FIX_UNITS = (1000.0, 100.0)
+"""Units of the fixes a meter, if they are not meters: millimeters, centimeters."""
+LARGE_ROBOT = math.log(30.0)
+"""Factor, as a logarithm, by which no robot is larger than configured: lengths that are given in
+another unit than meters are too large, never too small."""
+LARGE_ROBOT_COST = 12.0
+"""Log odds that such a robot costs [nats]."""
 
 
 class Wiring(NamedTuple):
@@ -147,11 +152,12 @@ def explain(evidence: Evidence, meters_per_count: float, separation: float) -> E
     observed = _observed(evidence, meters_per_count, separation)
     if not observed:
         return None
-    search = _Search(observed, evidence)
+    direction = _direction_of(evidence)
+    search = _Search(observed, evidence, direction)
     wirings = _wirings(evidence)
     everything = _loosest(evidence)
     loose = {
-        wiring: _score(observed, evidence, wiring, everything)[0] - _cost(wiring.mistakes())
+        wiring: _score(observed, direction, wiring, everything)[0] - _cost(wiring.mistakes())
         for wiring in wirings
     }
     least = max(loose.values()) - PRUNED_BELOW
@@ -161,7 +167,7 @@ def explain(evidence: Evidence, meters_per_count: float, separation: float) -> E
     (wiring, free), best = max(search.scores.items(), key=lambda scored: scored[1])
     wrong = {name: best - search.best_without(name) for name in (*wiring.mistakes(), *free)}
     delays = (name for name in free if name.endswith("_delay"))
-    _, numbers, covariance = _score(observed, evidence, wiring, (*everything, *delays))
+    _, numbers, covariance = _score(observed, direction, wiring, (*everything, *delays))
     return Explanation(wiring, wrong, numbers, covariance)
 
 
@@ -171,10 +177,13 @@ class _Search:
     Args:
         observed: what they have to explain.
         evidence: where that comes from.
+        direction: where the direction of travel comes from.
     """
 
-    def __init__(self, observed: list[_Observed], evidence: Evidence) -> None:
-        self._observed, self._evidence = observed, evidence
+    def __init__(
+        self, observed: list[_Observed], evidence: Evidence, direction: "_Direction"
+    ) -> None:
+        self._observed, self._direction = observed, direction
         self._options = _options(evidence)
         self.scores: dict[tuple[Wiring, tuple[str, ...]], float] = {}
 
@@ -204,8 +213,10 @@ class _Search:
     def _tried(self, wiring: Wiring, free: tuple[str, ...]) -> float:
         key = (wiring, free)
         if key not in self.scores:
-            score = _score(self._observed, self._evidence, wiring, free)[0]
-            self.scores[key] = score - _cost((*wiring.mistakes(), *free))
+            score, numbers, _ = _score(self._observed, self._direction, wiring, free)
+            large = min(numbers[0], numbers[2]) > LARGE_ROBOT
+            cost = _cost((*wiring.mistakes(), *free)) + (LARGE_ROBOT_COST if large else 0.0)
+            self.scores[key] = score - cost
         return self.scores[key]
 
 
@@ -308,45 +319,94 @@ def _displacement(evidence: Evidence, meters: float) -> _Observed:
 
 
 def _group(kind: str, values: FloatArray, covariance: FloatArray, unit: FloatArray) -> _Observed:
-    scaled = covariance / np.outer(unit, unit)
-    return _Observed(kind, values, np.asarray(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)))
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(std, std)
+    precision = np.linalg.inv(correlation) * np.outer(unit / std, unit / std)
+    return _Observed(kind, values, np.asarray(precision))
 
 
-def _predicted(kind: str, x: FloatArray, wiring: Wiring, evidence: Evidence) -> FloatArray:
+class _Direction(NamedTuple):
+    """Where the direction of travel comes from.
+
+    Attributes:
+        from_compass: whether that is the compass; otherwise it is the yaw of the fixes.
+        yaw_share: how much of it is the yaw sensor's rather than the wheels'. Where wheels explain
+            the yaw, directions are on their clock, whatever the sensor's stamps are.
+        taken_off_s: delay that was taken off the sensor's stamps [s].
+    """
+
+    from_compass: bool
+    yaw_share: float
+    taken_off_s: float
+
+
+def _direction_of(evidence: Evidence) -> _Direction:
+    best = evidence.best
+    if best is None:
+        return _Direction(from_compass=True, yaw_share=0.0, taken_off_s=0.0)
+    return _Direction(
+        from_compass=best is evidence.compass,
+        yaw_share=1.0 - max(best.fit.explained, 0.0),
+        taken_off_s=best.fit.level_delay_s,
+    )
+
+
+def _predicted(kind: str, x: FloatArray, wiring: Wiring, direction: _Direction) -> FloatArray:
     """Return what a robot would show, in the units of `_observed`."""
     left = wiring.left * math.exp(x[0] - 0.5 * x[1])
     right = wiring.right * math.exp(x[0] + 0.5 * x[1])
-    apart = wiring.sides * math.exp(x[2])
-    if kind in ("compass", "fix_yaw"):
+    mean, half = 0.5 * (right + left), 0.5 * (right - left)
+    if kind != "displacement":
         hand = wiring.compass if kind == "compass" else wiring.fix_yaw * wiring.mirror
-        return np.array([
-            hand * 0.5 * (right - left) / apart,
-            hand * 0.5 * (right + left) / apart,
-            x[5] if kind == "compass" else x[6],
-        ])  # fmt: skip
-    from_compass = evidence.best is evidence.compass
-    offsets = (x[3], x[4]) if from_compass else (x[4], x[3])
+        turn = hand * wiring.sides * math.exp(-x[2])
+        return np.array([turn * half, turn * mean, x[5] if kind == "compass" else x[6]])
+    own, other = (3, 4) if direction.from_compass else (4, 3)
+    late = x[5 if direction.from_compass else 6] - direction.taken_off_s
     return np.array([
-        wiring.unit * 0.5 * (right + left),
-        wiring.unit * 0.5 * (right - left),
-        offsets[0],
-        x[6] - _yaw_share(evidence) * ((x[5] if from_compass else x[6]) - _taken_off(evidence)),
-        offsets[1],
+        wiring.unit * mean, wiring.unit * half, x[own], x[6] - direction.yaw_share * late, x[other],
     ])  # fmt: skip
 
 
+def _slope(kind: str, predicted: FloatArray, direction: _Direction) -> FloatArray:
+    """Return the derivative `(n, 7)` of what a robot would show, by its numbers."""
+    one, other = predicted[:2]
+    slope = np.zeros((len(predicted), len(NUMBERS)))
+    slope[:2, 0] = one, other
+    slope[:2, 1] = 0.5 * other, 0.5 * one
+    if kind != "displacement":
+        slope[:2, 2] = -one, -other
+        slope[2, 5 if kind == "compass" else 6] = 1.0
+        return slope
+    best, second = (3, 4) if direction.from_compass else (4, 3)
+    slope[2, best] = slope[4, second] = slope[3, 6] = 1.0
+    slope[3, 5 if direction.from_compass else 6] -= direction.yaw_share
+    return slope
+
+
+def _seen_as_observed(
+    group: _Observed, predicted: FloatArray, slope: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return a prediction and its slope with the signs in which displacements were observed.
+
+    A displacement backward is one forward in a direction turned by pi.
+    """
+    if group.kind != "displacement" or group.values[:2] @ predicted[:2] >= 0.0:
+        return predicted, slope
+    turned, signs = predicted.copy(), np.array([-1.0, -1.0, 1.0, 1.0, 1.0])
+    turned[_ANGLES] += math.pi
+    return turned * signs, slope * signs[:, None]
+
+
 def _difference(group: _Observed, predicted: FloatArray) -> FloatArray:
-    """Return observed minus predicted numbers; displacements backward are those turned by pi."""
-    if group.kind != "displacement":
-        return group.values - predicted
-    observed = group.values.copy()
-    angles = [2, 4]
-    if observed[:2] @ predicted[:2] < 0.0:
-        observed[:2] *= -1.0
-        observed[angles] += math.pi
-    difference = observed - predicted
-    difference[angles] = [math.remainder(each, 2.0 * math.pi) for each in difference[angles]]
+    """Return observed minus predicted numbers, angles the short way round."""
+    difference = group.values - predicted
+    if group.kind == "displacement":
+        difference[_ANGLES] = [math.remainder(each, 2.0 * math.pi) for each in difference[_ANGLES]]
     return difference
+
+
+_ANGLES = [2, 4]
+"""Which numbers of a displacement are angles."""
 
 
 def _prior(free: tuple[str, ...]) -> FloatArray:
@@ -363,7 +423,7 @@ def _prior(free: tuple[str, ...]) -> FloatArray:
 
 
 def _score(
-    observed: list[_Observed], evidence: Evidence, wiring: Wiring, free: tuple[str, ...]
+    observed: list[_Observed], direction: _Direction, wiring: Wiring, free: tuple[str, ...]
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return log posterior, numbers and their covariance by Gauss-Newton."""
     prior = _prior(free)
@@ -373,8 +433,10 @@ def _score(
     for _ in range(12):
         normal, gradient, cost = prior.copy(), prior @ x, float(x @ prior @ x)
         for group in observed:
-            left = _difference(group, _predicted(group.kind, x, wiring, evidence))
-            slope = _slope(group.kind, x, wiring, evidence)
+            predicted = _predicted(group.kind, x, wiring, direction)
+            slope = _slope(group.kind, predicted, direction)
+            predicted, slope = _seen_as_observed(group, predicted, slope)
+            left = _difference(group, predicted)
             normal += slope.T @ group.precision @ slope
             gradient -= slope.T @ group.precision @ left
             cost += float(left @ group.precision @ left)
@@ -385,35 +447,6 @@ def _score(
         last = cost
         x = x + np.clip(step, -1.0, 1.0)
     return -0.5 * cost, x, np.asarray(np.linalg.inv(precision))
-
-
-def _slope(kind: str, x: FloatArray, wiring: Wiring, evidence: Evidence) -> FloatArray:
-    """Return the derivative `(n, 7)` of what a robot would show, by its numbers."""
-    of_mean, of_half = _predicted(kind, x, wiring, evidence)[:2]
-    slope = np.zeros((5 if kind == "displacement" else 3, len(NUMBERS)))
-    slope[:2, 0] = of_mean, of_half
-    slope[:2, 1] = 0.5 * of_half, 0.5 * of_mean
-    if kind != "displacement":
-        slope[:2, 2] = -of_mean, -of_half
-        slope[2, 5 if kind == "compass" else 6] = 1.0
-        return slope
-    best, other = (3, 4) if evidence.best is evidence.compass else (4, 3)
-    slope[2, best] = slope[4, other] = 1.0
-    slope[3, 6] = 1.0
-    slope[3, 5 if best == 3 else 6] -= _yaw_share(evidence)
-    return slope
-
-
-def _yaw_share(evidence: Evidence) -> float:
-    """Return how much of the direction of travel is the yaw sensor's rather than the wheels'.
-
-    Where wheels explain the yaw, directions are on their clock, whatever the sensor's stamps are.
-    """
-    return 0.0 if evidence.best is None else 1.0 - max(evidence.best.fit.explained, 0.0)
-
-
-def _taken_off(evidence: Evidence) -> float:
-    return 0.0 if evidence.best is None else evidence.best.fit.level_delay_s
 
 
 def _start(observed: list[_Observed], wiring: Wiring, free: tuple[str, ...]) -> FloatArray:

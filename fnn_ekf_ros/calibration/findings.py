@@ -13,6 +13,8 @@ CERTAIN_ODDS = 9.0
 """Log odds against the best other explanation from which on a finding is certain [nats]."""
 LIKELY_ODDS = 5.0
 """Log odds from which on it is likely [nats]."""
+NUMBER_ODDS = 3.0
+"""Log odds that a number needs in addition [nats]: there are many that may be a little off."""
 
 
 class Certainty(StrEnum):
@@ -115,10 +117,19 @@ def in_order(findings: list[Finding]) -> tuple[Finding, ...]:
     )
 
 
-def certainty_of(
-    odds: float, size: float = math.inf, std: float = 0.0, least: float = 0.0
-) -> Certainty:
-    """Return how sure a finding is.
+def certainty_of_sign(odds: float) -> Certainty:
+    """Return how sure it is that a sign or a unit is wrong.
+
+    Args:
+        odds: log odds against the best explanation without it [nats].
+    """
+    if odds >= CERTAIN_ODDS:
+        return Certainty.CERTAIN
+    return Certainty.LIKELY if odds >= LIKELY_ODDS else Certainty.POSSIBLE
+
+
+def certainty_of_number(odds: float, size: float, std: float, least: float) -> Certainty:
+    """Return how sure it is that a number is wrong.
 
     Args:
         odds: log odds against the best explanation without it [nats].
@@ -126,8 +137,7 @@ def certainty_of(
         std: its standard error.
         least: smallest difference that is more than a matter of calibration.
     """
-    if odds >= CERTAIN_ODDS and size - LEVEL * std >= least:
-        return Certainty.CERTAIN
-    if odds >= LIKELY_ODDS and size >= least:
-        return Certainty.LIKELY
-    return Certainty.POSSIBLE
+    by_odds = certainty_of_sign(odds - NUMBER_ODDS)
+    if by_odds is Certainty.CERTAIN and size - LEVEL * std < least:
+        by_odds = Certainty.LIKELY
+    return by_odds if size >= least else Certainty.POSSIBLE

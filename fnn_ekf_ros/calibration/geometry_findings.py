@@ -9,7 +9,14 @@ from typing import Any
 
 from fnn_ekf_ros.calibration.evidence import Evidence
 from fnn_ekf_ros.calibration.explanation import Explanation
-from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, certainty_of
+from fnn_ekf_ros.calibration.findings import (
+    LEVEL,
+    Certainty,
+    Change,
+    Finding,
+    certainty_of_number,
+    certainty_of_sign,
+)
 
 LEAST_SIZE = 0.05
 """Smallest part by which radius or separation is wrong; less is a matter of calibration."""
@@ -22,7 +29,7 @@ LEAST_DELAY_S = 0.1
 SAMPLED = 1.0
 """Smallest delay as a part of the time between two readings of a wheel: speeds that are sampled
 once in an interval, or read late in it, are off by up to that."""
-NEAR = 0.06
+NEAR = 0.12
 """Part by which a factor may differ from one that is typical of a mistake."""
 COUNT_FACTORS = (4.0, 2.0, 0.5, 0.25)
 """Factors between counts per revolution with one, two and four edges of the encoder counted."""
@@ -114,7 +121,7 @@ def _scale(context: Context) -> list[Finding]:
             "meters_per_count",
             f"wheels travel {math.exp(log):.4g} times what {_product(context)} say",
             _explained(context),
-            certainty_of(odds, abs(log), std, math.log1p(LEAST_SIZE)),
+            certainty_of_number(odds, abs(log), std, math.log1p(LEAST_SIZE)),
             (change,),
         )
     ]
@@ -136,7 +143,7 @@ def _separation(context: Context) -> list[Finding]:
             "wheel_separation",
             f"the robot rotates {math.exp(-log):.4g} times what wheel_separation says",
             _rotations(context),
-            certainty_of(odds, abs(log), std, math.log1p(LEAST_SIZE)),
+            certainty_of_number(odds, abs(log), std, math.log1p(LEAST_SIZE)),
             (context.change("wheel_separation", math.exp(log), std, "m"),),
         )
     ]
@@ -164,7 +171,7 @@ def _ratio(context: Context) -> list[Finding]:
             "wheel_ratio",
             f"the right wheel travels {math.exp(log):.4g} times as far per count as the left one",
             _rotations(context),
-            certainty_of(odds, abs(log), std, math.log1p(LEAST_RATIO)),
+            certainty_of_number(odds, abs(log), std, math.log1p(LEAST_RATIO)),
             changes,
         )
     ]
@@ -184,7 +191,7 @@ def _sides(context: Context) -> list[Finding]:
                 f"{side}_inverted",
                 f"the {side} counter runs the other way",
                 _explained(context),
-                certainty_of(odds),
+                certainty_of_sign(odds),
                 (Change(parameter, not context.configured[f"{side}_inverted"]),),
             )
         )
@@ -199,7 +206,7 @@ def _sides(context: Context) -> list[Finding]:
                 "wheels_swapped",
                 "left and right wheel are swapped",
                 _rotations(context),
-                certainty_of(swapped),
+                certainty_of_sign(swapped),
                 changes if joints else (),
                 () if joints else ("left_ticks:=/right_ticks", "right_ticks:=/left_ticks"),
             )
@@ -226,7 +233,7 @@ def _compass(context: Context) -> list[Finding]:
                 "compass_clockwise",
                 "the compass counts clockwise" + (", from north, as in NED" if ned else ""),
                 _explained(context),
-                certainty_of(clockwise),
+                certainty_of_sign(clockwise),
                 (turned, shift) if offset is not None else (turned,),
             )
         )
@@ -238,7 +245,7 @@ def _compass(context: Context) -> list[Finding]:
                 f"the compass is off by {-explanation.value('compass_offset'):.3g} rad from the "
                 "direction of travel",
                 _explained(context),
-                certainty_of(offset, size, std, LEAST_ANGLE),
+                certainty_of_number(offset, size, std, LEAST_ANGLE),
                 (shift,),
             )
         )
@@ -268,19 +275,19 @@ def _fixes(context: Context) -> list[Finding]:
         name = {1000.0: "millimeters", 100.0: "centimeters"}.get(unit, f"units of {1 / unit:g} m")
         found.append(
             Finding("fix_unit", f"the fixes are in {name}", _explained(context),
-                    certainty_of(odds), (Change("lrf_pose_scale", scale, unit="m"),))
+                    certainty_of_sign(odds), (Change("lrf_pose_scale", scale, unit="m"),))
         )  # fmt: skip
     odds = context.odds("fixes_mirrored")
     if odds is not None:
         found.append(
             Finding("fixes_mirrored", "the fixes are mirrored: x and y swapped, or y inverted",
-                    _explained(context), certainty_of(odds))
+                    _explained(context), certainty_of_sign(odds))
         )  # fmt: skip
     odds = context.odds("fix_yaw_clockwise")
     if odds is not None:
         found.append(
             Finding("fix_yaw_clockwise", "the yaw of the fixes counts clockwise",
-                    _explained(context), certainty_of(odds))
+                    _explained(context), certainty_of_sign(odds))
         )  # fmt: skip
     odds = context.odds("fix_yaw_offset")
     if odds is not None:
@@ -292,7 +299,7 @@ def _fixes(context: Context) -> list[Finding]:
                 "fix_yaw_offset",
                 f"the yaw of the fixes is off by {-by:.3g} rad from the direction of travel{used}",
                 _explained(context),
-                certainty_of(odds, abs(math.remainder(by, 2.0 * math.pi)), std, LEAST_ANGLE),
+                certainty_of_number(odds, abs(math.remainder(by, 2.0 * math.pi)), std, LEAST_ANGLE),
                 (context.shift("lrf_yaw_offset", total, std, "rad"),),
             )
         )
@@ -317,7 +324,7 @@ def _delays(context: Context) -> list[Finding]:
                 f"the {sensor} {'is' if sensor == 'compass' else 'are'} stamped {abs(by):.3g} s "
                 f"{'later' if by > 0 else 'earlier'} than measured, by the wheels' clock",
                 _explained(context),
-                certainty_of(odds, abs(by), std, least),
+                certainty_of_number(odds, abs(by), std, least),
                 (context.shift(parameter, by, std, "s", about),),
             )
         )

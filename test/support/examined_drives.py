@@ -29,7 +29,7 @@ def parameters(**changes: Any) -> dict[str, Any]:
 
 def drive(
     seed: int,
-    duration_s: float = 90.0,
+    duration_s: float = 60.0,
     slip: tuple[float, float] = (0.01, 0.01),
     compass_std: float = 0.05,
     turning: bool = True,
