@@ -24,7 +24,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
-from fnn_ekf_ros.tuning.objective import Slopes, Weights, slopes, term_values
+from fnn_ekf_ros.tuning.objective import TERMS, Slopes, Weights, slopes, term_values
 from fnn_ekf_ros.tuning.quantities import (
     LASTING,
     Quantity,
@@ -35,12 +35,13 @@ from fnn_ekf_ros.tuning.quantities import (
 from fnn_ekf_ros.tuning.recording import STANDSTILL, TuningRecording
 from fnn_ekf_ros.tuning.search import Limits, Point, maximize
 
-SHORT_OUTAGES = Weights(next_reading=0.015, outages=(1.0, 1.0))
-"""Weights of the cautious fit, for errors of seconds: a window of 5 s counts as much as a hundred
+SHORT_OUTAGES = Weights(next_fix=0.015, next_compass=0.015, outages=(1.0, 1.0))
+"""Weights of the cautious fit, for errors of seconds: a window of 5 s counts as much as 70
 readings, so that next readings decide only what outages do not see."""
-LONG_OUTAGES = Weights(next_reading=0.0005, outages=(0.0, 1.0))
-"""The same for errors of tens of seconds, by windows of 50 s."""
-FULL = Weights(next_reading=1.0, outages=(0.0, 0.0))
+LONG_OUTAGES = Weights(next_fix=0.0005, next_compass=0.015, outages=(0.0, 1.0))
+"""The same for errors of tens of seconds, by windows of 50 s. The compass keeps its weight: its
+readings are not misled by errors of the fixes."""
+FULL = Weights(next_fix=1.0, next_compass=1.0, outages=(0.0, 0.0))
 """Weights of the fit that trusts next readings."""
 ERROR_TIME_S = {SHORT_OUTAGES: 5.0, LONG_OUTAGES: 50.0}
 """Largest time constant of fix errors that cautious fits may find [s]: after an outage twice as
@@ -88,7 +89,7 @@ class Fit(NamedTuple):
         limits: of the coordinates.
         weights: of the terms.
         cautious: weights of the cautious fit.
-        cautious_terms: `(3,)` the terms at the optimum of the cautious fit [nats].
+        cautious_terms: `(4,)` the terms at the optimum of the cautious fit [nats].
         outage_loss: what the full fit loses by outages [nats].
     """
 
@@ -111,6 +112,7 @@ class Fit(NamedTuple):
 class _Optimum(NamedTuple):
     coordinate: FloatArray
     slopes: Slopes
+    converged: bool
 
 
 class _Search:
@@ -166,8 +168,8 @@ class _Search:
         def given_up(u: FloatArray) -> bool:
             return gives_up(seen[u.tobytes()])
 
-        found = maximize(at, self.limits(weights), begin, given_up).coordinate
-        return _Optimum(found, seen[found.tobytes()])
+        found, _, converged = maximize(at, self.limits(weights), begin, given_up)
+        return _Optimum(found, seen[found.tobytes()], converged)
 
 
 def fit(
@@ -192,14 +194,15 @@ def fit(
         best = begin[:, int(np.nanargmax(LONG_OUTAGES.each() @ terms))]
         search, weights = _Search(recordings, which, best, progress), LONG_OUTAGES
         cautious = search.best(weights, coordinates(best, which))
-    outages = np.array([0.0, *weights.outages])
+    outages = np.array([0.0, 0.0, *weights.outages])
     most = float(outages @ cautious.slopes.value)
     full = search.best(
         FULL, cautious.coordinate,
         lambda there: most - float(outages @ there.value) > GIVEN_UP * ALLOWED_LOSS,
     )  # fmt: skip
     loss = most - float(outages @ full.slopes.value)
-    optimum, counts = (full, FULL) if loss <= ALLOWED_LOSS else (cautious, weights)
+    counts_in_full = full.converged and loss <= ALLOWED_LOSS
+    optimum, counts = (full, FULL) if counts_in_full else (cautious, weights)
     return Fit(
         which=which,
         values=with_coordinates(best, which, optimum.coordinate[:, None])[:, 0],
@@ -228,9 +231,9 @@ def _usual_distance(recording: TuningRecording) -> float:
 
 
 def _terms(recordings: Sequence[TuningRecording], models: FloatArray) -> FloatArray:
-    """Return the terms of the objective `(3, S)` of models `(16, S)`."""
+    """Return the terms of the objective `(4, S)` of models `(16, S)`."""
     if models.shape[1] == 1:
-        return np.zeros((3, 1))
+        return np.zeros((TERMS, 1))
     parts = range(0, models.shape[1], _AT_A_TIME)
     each = [term_values(recordings, models[:, k : k + _AT_A_TIME]) for k in parts]
     return np.concatenate(each, axis=1)
@@ -272,7 +275,8 @@ def beginnings(values: FloatArray, *, constant_yaw_error: bool) -> FloatArray:
 def errors_last(white: Fit, lasting: Fit) -> bool:
     """Return whether the recordings show errors that last."""
     if lasting.trusts_next_readings and white.trusts_next_readings:
-        return float(lasting.slopes.value[0] - white.slopes.value[0]) > LASTING_GAIN_FULL
+        gain = lasting.slopes.value - white.slopes.value
+        return float(FULL.each() @ gain) > LASTING_GAIN_FULL
     if lasting.trusts_next_readings:
         return True
     gain = lasting.cautious_terms - white.cautious_terms

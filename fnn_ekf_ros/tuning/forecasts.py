@@ -71,12 +71,12 @@ class Forecasts(NamedTuple):
     outages: tuple[Items, ...]
 
 
-class Positions(NamedTuple):
-    """Positions after each epoch.
+class Poses(NamedTuple):
+    """Poses after each epoch.
 
     Attributes:
-        mean: `(T, 2, S)` x and y [m].
-        variance: `(T, 2, S)` their variances [m^2].
+        mean: `(T, 3, S)` x, y and yaw (m, m, rad).
+        variance: `(T, 3, S)` their variances (m^2, m^2, rad^2).
     """
 
     mean: FloatArray
@@ -212,19 +212,19 @@ def forecasts(recording: TuningRecording, values: FloatArray) -> Forecasts:
     return kept.forecasts()
 
 
-def positions(recording: TuningRecording, values: FloatArray) -> Positions:
+def poses(recording: TuningRecording, values: FloatArray) -> Poses:
     """Return where models `(16, S)` put the robot, without outages."""
     run = _Run(recording, values, 1)
     kept = _Kept(recording, run.models)
     none = np.full(len(HORIZONS_S), -1)
-    shape = (len(recording.duration_s), 2, run.models)
-    found = Positions(np.empty(shape), np.empty(shape))
+    shape = (len(recording.duration_s), 3, run.models)
+    found = Poses(np.empty(shape), np.empty(shape))
     for t, measured in enumerate(np.any(recording.available, axis=0)):
         run.predict(t)
         if measured:
             _take_readings(run, t, kept, 0, none)
-        found.mean[t] = run.bank.mean[:2, 0]
-        found.variance[t] = run.bank.covariance[[0, 1], [0, 1], 0]
+        found.mean[t] = run.bank.mean[:3, 0]
+        found.variance[t] = run.bank.covariance[[0, 1, 2], [0, 1, 2], 0]
     return found
 
 

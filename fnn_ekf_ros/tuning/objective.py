@@ -3,11 +3,11 @@
 
 """The objective of tuning: next readings and fixes after simulated outages.
 
-    J(u) = kappa l_next(u) + l_10(u) + l_100(u)
+    J(u) = kappa_f l_fix(u) + kappa_c l_compass(u) + w_10 l_10(u) + w_100 l_100(u)
 
-l_next sums the log likelihoods of all readings given those before them. l_H does so for the fixes
-after outages of H seconds; the fixes of a window are averaged, so that a window is one measurement.
-kappa is how far the next readings are trusted (`search`).
+l_fix and l_compass sum the log likelihoods of all readings given those before them. l_H does so for
+the fixes after outages of H seconds; the fixes of a window are averaged, so that a window is one
+measurement. kappa is how far the next readings are trusted (`fit`).
 """
 
 from collections.abc import Sequence
@@ -17,29 +17,35 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.tuning.forecasts import forecasts
-from fnn_ekf_ros.tuning.likelihood import Evidence, evidence
+from fnn_ekf_ros.tuning.likelihood import evidence
 from fnn_ekf_ros.tuning.likelihood import values as likelihoods
 from fnn_ekf_ros.tuning.quantities import STEPS, Quantity, with_coordinates
 from fnn_ekf_ros.tuning.recording import HORIZONS_S, TuningRecording
 
-TERMS = 1 + len(HORIZONS_S)
-"""Terms of the objective: next readings, then outages by horizon."""
+NEXT_FIX, NEXT_COMPASS = range(2)
+"""Terms of the next readings."""
+OUTAGES = slice(2, 2 + len(HORIZONS_S))
+"""Terms of the outages, by horizon."""
+TERMS = OUTAGES.stop
+"""Terms of the objective."""
 
 
 class Weights(NamedTuple):
     """Weights of the terms of the objective.
 
     Attributes:
-        next_reading: kappa.
+        next_fix: kappa of the fixes.
+        next_compass: kappa of the compass.
         outages: of each horizon's term.
     """
 
-    next_reading: float
+    next_fix: float
+    next_compass: float
     outages: tuple[float, ...]
 
     def each(self) -> FloatArray:
-        """Return the weights of all terms, `(3,)`."""
-        return np.array([self.next_reading, *self.outages])
+        """Return the weights of all terms, `(4,)`."""
+        return np.array([self.next_fix, self.next_compass, *self.outages])
 
 
 class Timed(NamedTuple):
@@ -47,8 +53,8 @@ class Timed(NamedTuple):
 
     Attributes:
         time_s: `(K,)` when each reading came [s].
-        score: `(3, K, p)` derivatives of the terms.
-        value: `(3, K)` the terms [nats].
+        score: `(4, K, p)` derivatives of the terms.
+        value: `(4, K)` the terms [nats].
     """
 
     time_s: FloatArray
@@ -60,9 +66,9 @@ class Slopes(NamedTuple):
     """The terms of the objective at a point, with derivatives.
 
     Attributes:
-        value: `(3,)` the terms [nats].
-        gradient: `(3, p)`.
-        information: `(3, p, p)` expected curvature.
+        value: `(4,)` the terms [nats].
+        gradient: `(4, p)`.
+        information: `(4, p, p)` expected curvature.
         timed: contributions of each recording.
     """
 
@@ -73,14 +79,15 @@ class Slopes(NamedTuple):
 
 
 def term_values(recordings: Sequence[TuningRecording], models: FloatArray) -> FloatArray:
-    """Return the terms of the objective `(3, S)` of models `(16, S)` [nats]."""
+    """Return the terms of the objective `(4, S)` of models `(16, S)` [nats]."""
     total = np.zeros((TERMS, models.shape[1]))
     for recording in recordings:
         seen = forecasts(recording, models)
         weight = _weights(recording)
-        total[0] += likelihoods(seen.fixes).sum(axis=0) + likelihoods(seen.compass).sum(axis=0)
+        total[NEXT_FIX] += likelihoods(seen.fixes).sum(axis=0)
+        total[NEXT_COMPASS] += likelihoods(seen.compass).sum(axis=0)
         for place, items in enumerate(seen.outages):
-            total[1 + place] += weight[:, place] @ likelihoods(items)
+            total[OUTAGES.start + place] += weight[:, place] @ likelihoods(items)
     return total
 
 
@@ -117,11 +124,9 @@ def slopes_of(recording: TuningRecording, models: FloatArray, steps: FloatArray)
     seen = forecasts(recording, models)
     measured = recording.available.any(axis=0)
     ones = np.ones(int(measured.sum()))
-    fixes, compass = evidence(seen.fixes, steps, ones), evidence(seen.compass, steps, ones)
-    following = Evidence(*(one + other for one, other in zip(fixes, compass, strict=True)))
     weight = _weights(recording)
-    outages = [evidence(items, steps, weight[:, place]) for place, items in enumerate(seen.outages)]
-    terms = [following, *outages]
+    terms = [evidence(items, steps, ones) for items in (seen.fixes, seen.compass)]
+    terms += [evidence(items, steps, weight[:, place]) for place, items in enumerate(seen.outages)]
     timed = Timed(
         time_s=np.cumsum(recording.duration_s)[measured],
         score=np.stack([term.score for term in terms]),

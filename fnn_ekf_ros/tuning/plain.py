@@ -4,12 +4,15 @@
 """The noise of a plain EKF on a robot whose errors last.
 
 An EKF that takes all errors for white has no right noise there. The best it can have brings its
-positions nearest to the true ones, of which those of the filter that follows lasting errors are the
-best guess. With d the distance between both filters at each epoch, and P and P_l the covariances
-that they claim of x and y,
+poses nearest to the true ones, of which those of the filter that follows lasting errors are the
+best guess. With d the difference of both filters in x, y and yaw at each epoch, and P and P_l the
+variances that they claim,
 
-    minimize sum |d|^2 over Q and R, up to a common factor, which does not change the positions
-    factor = sum (|d|^2 + tr P_l) / sum tr P
+    minimize sum (d_x^2 + d_y^2 + c d_yaw^2) over Q and R,   c = sum (P_l,x + P_l,y) / sum P_l,yaw
+
+up to a common factor of Q and R, which does not change the poses. The factor is
+
+    sum (d_x^2 + d_y^2 + P_l,x + P_l,y) / sum (P_x + P_y)
 
 so that the EKF claims, on average, the error that it has: where it is not the better filter, its
 error is d plus the other one's, and these are about independent.
@@ -19,9 +22,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.tuning.fit import Progress
-from fnn_ekf_ros.tuning.forecasts import Positions, positions
+from fnn_ekf_ros.tuning.forecasts import Poses, poses
 from fnn_ekf_ros.tuning.objective import star
 from fnn_ekf_ros.tuning.quantities import (
     LASTING,
@@ -54,8 +58,10 @@ def plain_noise(
         noise: quantities of noise that there are sensors for.
         progress: is told about each pass.
     """
-    wanted = [positions(recording, lasting[:, None]) for recording in recordings]
+    wanted = [poses(recording, lasting[:, None]) for recording in recordings]
     base = _without_lasting(lasting)
+    variance = np.sum([best.variance.sum(axis=(0, 2)) for best in wanted], axis=0)
+    scale = np.array([1.0, 1.0, np.sqrt((variance[0] + variance[1]) / variance[2])])[:, None]
     which = tuple(quantity for quantity in noise if quantity is not Quantity.POSITION)
     of_wheels = np.isin(which, [Quantity.DISTANCE, Quantity.ROTATION])
     steps = STEPS[list(which)]
@@ -63,7 +69,7 @@ def plain_noise(
     def misses(models: FloatArray) -> list[FloatArray]:
         progress("plain EKF")
         return [
-            positions(recording, models).mean - best.mean
+            scale * _difference(poses(recording, models), best)
             for recording, best in zip(recordings, wanted, strict=True)
         ]
 
@@ -90,6 +96,13 @@ def plain_noise(
     return values
 
 
+def _difference(one: Poses, other: Poses) -> FloatArray:
+    """Return the difference of poses, `(T, 3, S)` (m, m, rad)."""
+    d = one.mean - other.mean
+    d[:, 2] = wrap_angle(d[:, 2])
+    return d
+
+
 def _without_lasting(lasting: FloatArray) -> FloatArray:
     """Return a model whose white errors are as large as all errors together."""
     base = lasting.copy()
@@ -101,12 +114,12 @@ def _without_lasting(lasting: FloatArray) -> FloatArray:
 
 
 def _factor(
-    recordings: Sequence[TuningRecording], values: FloatArray, wanted: Sequence[Positions]
+    recordings: Sequence[TuningRecording], values: FloatArray, wanted: Sequence[Poses]
 ) -> float:
     """Return the factor on all variances by which a filter claims the error that it has."""
     error = claimed = 0.0
     for recording, best in zip(recordings, wanted, strict=True):
-        own = positions(recording, values[:, None])
-        error += float(((own.mean - best.mean) ** 2).sum() + best.variance.sum())
-        claimed += float(own.variance.sum())
+        own = poses(recording, values[:, None])
+        error += float((_difference(own, best)[:, :2] ** 2).sum() + best.variance[:, :2].sum())
+        claimed += float(own.variance[:, :2].sum())
     return error / claimed

@@ -14,6 +14,8 @@ MOST_PASSES = 15
 """Largest number of passes over the recordings per search; most take ten."""
 ENOUGH = 0.02
 """Predicted gain of a step below which the search ends [nats]: a fiftieth of what could be told."""
+_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
+"""Range of the damping, in parts of the information's diagonal; beyond it nothing is gained."""
 _LARGEST_STEP = 1.0
 """Largest step of a coordinate: a factor of e in a standard deviation."""
 
@@ -46,12 +48,12 @@ class Optimum(NamedTuple):
     Attributes:
         coordinate: `(p,)`.
         point: there.
-        passes: over the recordings.
+        converged: whether no step promised more.
     """
 
     coordinate: FloatArray
     point: Point
-    passes: int
+    converged: bool
 
 
 def maximize(
@@ -70,25 +72,27 @@ def maximize(
     """
     u = np.clip(begin, *limits)
     here = at(u)
-    damping, passes = 1e-3, 1
-    while passes < MOST_PASSES:
+    damping, passes = _LEAST_DAMPING, 1
+    while passes < MOST_PASSES and damping < _MOST_DAMPING:
         moved, gain = _step(u, here, damping, limits)
-        if gain < ENOUGH:
-            break
+        if 0.0 <= gain < ENOUGH:
+            return Optimum(u, here, converged=True)
+        if gain < 0.0:  # a bound has turned the step away from where it led
+            damping = max(10.0 * damping, 0.1)
+            continue
         there = at(moved)
         passes += 1
         actual = there.value - here.value
-        if np.isfinite(actual) and actual > 0.0:
-            u, here = moved, there
-            damping = damping / 10.0 if actual > 0.3 * gain else damping * 2.0
-            damping = max(damping, 1e-6)
-            if actual < ENOUGH or (gives_up is not None and gives_up(u)):
-                break
-        else:
+        if not actual > 0.0:
             damping = max(10.0 * damping, 0.1)
-            if damping > 1e6:
-                break
-    return Optimum(u, here, passes)
+            continue
+        u, here = moved, there
+        if actual < ENOUGH and damping < 0.1:
+            return Optimum(u, here, converged=True)
+        if gives_up is not None and gives_up(u):
+            break
+        damping = max(damping / 10.0 if actual > 0.3 * gain else 2.0 * damping, _LEAST_DAMPING)
+    return Optimum(u, here, converged=False)
 
 
 def _step(
@@ -111,7 +115,7 @@ def _step(
     curved = information[np.ix_(free, free)] / np.outer(scale, scale)
     curved += damping * np.eye(len(free))
     step = np.linalg.lstsq(curved, gradient[free] / scale, rcond=1e-8)[0] / scale
-    step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
     moved = u.copy()
     moved[free] = np.clip(u[free] + step, low[free], high[free])
     change = moved - u

@@ -14,6 +14,7 @@ from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.tuning.fit import (
+    SHORT_OUTAGES,
     Fit,
     Progress,
     beginnings,
@@ -101,7 +102,7 @@ def tune(recordings: Sequence[TuningRecording], *, calibrates: bool, progress: P
     )
     last = errors_last(white, lasting)
     plain = white.values
-    if last:
+    if last and lasting.weights != SHORT_OUTAGES:
         plain = plain_noise(recordings, lasting.values, noise, progress)
     progress("profiles")
     models = [

@@ -33,6 +33,9 @@ PROFILE_POINTS: FloatArray = np.linspace(-3.0, 3.0, 13)
 """Points of a profile, in standard errors from the optimum."""
 _WIDEST = 2.0
 """Largest standard error in a profile's range [coordinates]: a factor of 7 in a deviation."""
+_VAGUE_INFORMATION = 0.1
+"""Information that each coordinate is taken to have besides: that it is known to 3, a factor of 20
+in a deviation. What the recordings cannot tell apart then has this error instead of none."""
 _SMALLEST_INFORMATION = 1e-6
 """Information below which a quantity is not seen at all."""
 
@@ -74,12 +77,13 @@ def intervals(fit: Fit) -> tuple[Interval, ...]:
     information = _information(fit)
     free = np.flatnonzero(~at_bound & (np.diag(information) > _SMALLEST_INFORMATION))
     std = np.full(len(fit.which), np.inf)
-    inverse = np.linalg.pinv(information[np.ix_(free, free)], hermitian=True)
+    vague = _VAGUE_INFORMATION * np.eye(len(free))
+    inverse = np.linalg.inv(information[np.ix_(free, free)] + vague)
     full = fit.trusts_next_readings
     bandwidth = NEXT_READING_BANDWIDTH_S if full else OUTAGE_BANDWIDTH_S
     weights = fit.weights.each()
     J = sum(gradient_covariance(timed, weights, bandwidth) for timed in fit.slopes.timed)
-    sandwich = inverse @ np.asarray(J)[np.ix_(free, free)] @ inverse
+    sandwich = inverse @ (np.asarray(J)[np.ix_(free, free)] + vague) @ inverse
     std[free] = np.sqrt(np.maximum(np.diag(sandwich), np.diag(inverse)))
     return tuple(
         Interval(quantity, float(u), float(s), bool(at))
@@ -97,7 +101,7 @@ def gradient_covariance(timed: Timed, weights: FloatArray, bandwidth_s: float) -
 
     Args:
         timed: the contributions.
-        weights: `(3,)` of the terms.
+        weights: `(4,)` of the terms.
         bandwidth_s: time apart from which on contributions are independent [s].
     """
     contribution = np.einsum("t,tkp->kp", weights, timed.score)
@@ -128,8 +132,8 @@ def profiles(
     for place, interval in enumerate(found):
         others = [k for k, one in enumerate(found) if k != place and np.isfinite(one.std)]
         follow = np.zeros(len(found))
-        block = information[np.ix_(others, others)]
-        follow[others] = -np.linalg.pinv(block, hermitian=True) @ information[others, place]
+        block = information[np.ix_(others, others)] + _VAGUE_INFORMATION * np.eye(len(others))
+        follow[others] = -np.linalg.solve(block, information[others, place])
         follow[place] = 1.0
         along = min(interval.std, _WIDEST) * PROFILE_POINTS
         points = np.clip(

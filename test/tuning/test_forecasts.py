@@ -11,7 +11,7 @@ from tuning_drives import STEP_S, Noise, drive
 from fnn_ekf_ros.core.motion import MotionModel, displacement
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 from fnn_ekf_ros.timeline.events import PoseReset
-from fnn_ekf_ros.tuning.forecasts import forecasts, positions
+from fnn_ekf_ros.tuning.forecasts import forecasts, poses
 from fnn_ekf_ros.tuning.quantities import Quantity
 from fnn_ekf_ros.tuning.recording import HORIZONS_S, schedule_of
 from fnn_ekf_ros.tuning.tune import configured
@@ -21,7 +21,7 @@ def test_a_white_model_is_the_textbook_filter() -> None:
     recording = drive(np.random.default_rng(1), 60, Noise(position=0.05, compass=0.05))
     values = configured(recording.parameters)
     values[[Quantity.POSITION, Quantity.COMPASS]] = 0.1  # so that no reading is an outlier
-    seen = positions(recording, values[:, None])
+    seen = poses(recording, values[:, None])
     x, P = recording.mean, recording.covariance
     assert STEP_S == NOMINAL_PERIOD_S
     Q = np.diag(values[[Quantity.DISTANCE, Quantity.ROTATION]] ** 2)
@@ -29,8 +29,8 @@ def test_a_white_model_is_the_textbook_filter() -> None:
     for t in range(60):
         u, z = recording.control[:, t], recording.measurement[:, t]
         x, P = textbook_step(False, x, P, u, Q, z, R, [0, 1, 2])
-        np.testing.assert_allclose(seen.mean[t, :, 0], x[:2], atol=1e-9)
-        np.testing.assert_allclose(seen.variance[t, :, 0], np.diag(P)[:2], atol=1e-9)
+        np.testing.assert_allclose(seen.mean[t, :, 0], x, atol=1e-9)
+        np.testing.assert_allclose(seen.variance[t, :, 0], np.diag(P), atol=1e-9)
 
 
 def test_lasting_errors_of_nothing_are_none() -> None:
@@ -107,10 +107,10 @@ def test_a_pose_that_is_set_counts_from_then_on() -> None:
     recording = recording._replace(resets={30: PoseReset(0, pose, covariance)})
     values = configured(recording.parameters)
     values[[Quantity.POSITION, Quantity.COMPASS]] = 1e3  # so that readings change nothing
-    before, after = positions(recording, values[:, None]).mean[[29, 30], :, 0]
-    assert np.hypot(*before) < 5.0
+    before, after = poses(recording, values[:, None]).mean[[29, 30], :, 0]
+    assert np.hypot(*before[:2]) < 5.0
     step = displacement(MotionModel.EXACT_ARC, pose[2], recording.control[:, 30])
-    np.testing.assert_allclose(after, pose[:2] + step[:2], atol=1e-3)
+    np.testing.assert_allclose(after, pose + step, atol=1e-3)
 
 
 def test_variances_that_fixes_report_count_times_the_scale() -> None:
@@ -121,7 +121,7 @@ def test_variances_that_fixes_report_count_times_the_scale() -> None:
     reported = recording.reported.copy()
     reported[[0, 1]] = 4.0
     np.testing.assert_allclose(
-        positions(recording._replace(reported=reported), values[:, None]).mean,
-        positions(recording, doubled[:, None]).mean,
+        poses(recording._replace(reported=reported), values[:, None]).mean,
+        poses(recording, doubled[:, None]).mean,
         atol=1e-12,
     )

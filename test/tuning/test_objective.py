@@ -70,8 +70,9 @@ def test_information_is_the_expected_curvature_of_next_readings() -> None:
     u, covariance, information = coordinates(values, NOISE), [], []
     for seed in range(12):
         there = slopes([drive(np.random.default_rng(seed), 400)], values, NOISE, u)
-        information.append(there.information[0])
-        covariance.append(there.timed[0].score[0].T @ there.timed[0].score[0])
+        information.append(there.information[:2].sum(axis=0))
+        score = there.timed[0].score[:2].sum(axis=0)
+        covariance.append(score.T @ score)
     # Scores of a right model have its information as their covariance, but for the tails.
     ratio = np.diag(np.mean(covariance, axis=0)) / np.diag(np.mean(information, axis=0))
     np.testing.assert_allclose(ratio, 0.95, atol=0.2)
