@@ -33,8 +33,7 @@ BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
 """The demo's bag, and the parameters of its robot."""
 DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
 """Lines of the README's table, and the arguments of `replay` for each in scripts/demo.py."""
-MEASURED = ("bias.yaml", "late.yaml", "health.json")
-MEASURED = ("bias.yaml", "late.yaml", "fixed.yaml")
+MEASURED = ("bias.yaml", "late.yaml", "health.json", "fixed.yaml")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
 """Line of the demo's table whose estimated noise is shown."""
@@ -214,6 +213,8 @@ def compared(folder: Path) -> str:
     """Return what `compare` prints of the demo's EKF and FNN-EKF."""
     bags = demo_bag("EKF", folder), demo_bag(ADAPTED, folder)
     return printed_lines(run(["compare", *bags, "--labels", "EKF", "FNN-EKF"], folder))
+
+
 def diagnosed(folder: Path) -> str:
     """Return what `doctor` prints in the example of README.md after its table."""
     own = folder / "doctor"
