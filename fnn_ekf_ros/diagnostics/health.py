@@ -92,12 +92,14 @@ class FoundNoise(NamedTuple):
         unit: of both.
         configured: by the parameters.
         found: at the end of the run, without what an alarm adds.
+        usual: the parameter's default.
     """
 
     name: str
     unit: str
     configured: float
     found: float
+    usual: float
 
     @property
     def factor(self) -> float:
@@ -106,8 +108,11 @@ class FoundNoise(NamedTuple):
 
     @property
     def suspicious(self) -> bool:
-        """Whether it is so large that the configuration cannot be right."""
-        return self.factor >= SUSPICIOUS_FACTOR
+        """Whether it is so large that the configuration cannot be right.
+
+        A noise below the usual one is no sign of it, however small the configured one is.
+        """
+        return self.factor >= SUSPICIOUS_FACTOR and self.found >= self.usual
 
 
 class SensorHealth(NamedTuple):

@@ -38,8 +38,16 @@ from fnn_ekf_ros.diagnostics.messages import (
 )
 from fnn_ekf_ros.diagnostics.travel import Travel
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.schema import default_of
 from fnn_ekf_ros.timeline.events import Level, Move, Output, Sensor, Status
 from fnn_ekf_ros.timeline.filter_model import noise_bounds
+
+_USUAL_NOISE = (
+    *default_of(LocalizerParameters, "process_noise_std"),
+    *default_of(LocalizerParameters, "measurement_noise_std"),
+    default_of(LocalizerParameters, "lrf_yaw_std"),
+)
+"""Defaults of the noise parameters (m, rad, m, m, rad, rad)."""
 
 
 class _Reports:
@@ -186,12 +194,13 @@ class HealthMonitor:
             ("m", "rad", "m", "m", "rad", "rad"),
             (*p.process_noise_std, *p.measurement_noise_std, p.lrf_yaw_std),
             np.sqrt([*Q, *R]),
+            _USUAL_NOISE,
             is_there,
             strict=True,
         )
         return tuple(
-            FoundNoise(name, unit, configured, float(found))
-            for name, unit, configured, found, there in each
+            FoundNoise(name, unit, configured, float(found), usual)
+            for name, unit, configured, found, usual, there in each
             if there
         )
 

@@ -208,8 +208,10 @@ def test_noise_far_above_the_configured_one_is_not_healthy(estimated: Output) ->
     for factor, healthy in (
         (0.97 * SUSPICIOUS_FACTOR, True), (1.03 * SUSPICIOUS_FACTOR, False), (0.01, True),
     ):  # fmt: skip
-        noise = (FoundNoise("distance", "m", 0.1, 0.1 * factor),)
+        noise = (FoundNoise("distance", "m", 0.1, 0.1 * factor, 0.1),)
         assert summary._replace(noise=noise).healthy is healthy
+    tuned = (FoundNoise("distance", "m", 0.001, 0.02, 0.05),)
+    assert summary._replace(noise=tuned).healthy
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ SECOND_NS = 10**9
 
 
 def noise(name: str, factor: float, unit: str = "m") -> FoundNoise:
-    return FoundNoise(name, unit, 0.1, 0.1 * factor)
+    return FoundNoise(name, unit, 0.1, 0.1 * factor, 0.1)
 
 
 def fine(name: str) -> StatusHealth:
@@ -222,7 +222,10 @@ def test_no_checks_if_all_is_well() -> None:
 def test_the_parameters_that_were_found_are_a_valid_set() -> None:
     found = found_parameters(
         healthy()._replace(
-            noise=(FoundNoise("distance", "m", 0.05, 0.012345678), noise("fixes' x", 0.98764)),
+            noise=(
+                FoundNoise("distance", "m", 0.05, 0.012345678, 0.05),
+                noise("fixes' x", 0.98764),
+            ),
             fitting=(("compass_offset", -0.8), ("lrf_pose_delay", 0.3)),
         )
     )
@@ -259,8 +262,8 @@ def test_found_noise_stays_within_its_bounds_when_it_is_rounded() -> None:
     }  # fmt: skip
     summary = healthy(**bounds)._replace(
         noise=(
-            FoundNoise("distance", "m", 0.5, 0.123444),
-            FoundNoise("rotation", "rad", 0.1, 0.987654),
+            FoundNoise("distance", "m", 0.5, 0.123444, 0.05),
+            FoundNoise("rotation", "rad", 0.1, 0.987654, 0.05),
         )
     )
     found = found_parameters(summary)
