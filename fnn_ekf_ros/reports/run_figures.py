@@ -29,6 +29,9 @@ INNOVATION_LIMIT = 6.0
 """Height of the axes of standardized innovations; larger ones are drawn at the edge."""
 WINDOW = 50
 """Number of readings of the moving mean of NIS."""
+LONG_CLAIM = 0.8
+"""Share of the time whose band has to fit into the picture of the errors: at the start it may be
+so wide that the errors were a line."""
 WIDE = 8.0
 """Factor between the largest and the smallest value from which an axis is logarithmic."""
 ROWS = {Row.X: "fix x", Row.Y: "fix y", Row.LRF_YAW: "fix yaw", Row.COMPASS_YAW: "compass"}
@@ -60,7 +63,7 @@ def error_figure(matched: Matched, clock: Clock) -> str:
             axes.plot(time[kept], errors[kept, axis], color=COLORS["estimate"], lw=0.9,
                       label="odom - ground truth")  # fmt: skip
             axes.set_ylabel(names[axis])
-            limit_to_usual(axes, errors[:, axis], band)
+            limit_to_usual(axes, errors[:, axis], band[band <= np.quantile(band, LONG_CLAIM)])
         return finished(figure, all_axes, clock, "errors over time")
 
 
