@@ -43,7 +43,7 @@ BLOCK_S = 15.0
 """Length of the blocks of the sandwich covariance [s]: real fix errors last for seconds."""
 FEWEST_BLOCKS = 6
 """Number of blocks that a covariance needs; shorter recordings get shorter blocks."""
-NOTHING = 1e-300
+NOTHING = 1e-100
 """Keeps divisions by sums of squares finite."""
 
 

@@ -10,7 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.calibration.counters import Counter, read_counter
-from fnn_ekf_ros.calibration.evidence import Evidence, Readings, evidence_of, turned
+from fnn_ekf_ros.calibration.evidence import (
+    FEWEST_READINGS,
+    Evidence,
+    Readings,
+    evidence_of,
+    turned,
+)
 from fnn_ekf_ros.calibration.explanation import NUMBERS, Explanation, explain
 from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, in_order
 from fnn_ekf_ros.calibration.geometry_findings import Context, geometry_findings
@@ -69,47 +75,59 @@ def examine(drive: Drive, configured: Mapping[str, Any]) -> Examined:
         configured: parameters of the localizer, by name; lengths may be out of range.
     """
     if min(len(drive.left), len(drive.right)) < FEWEST_WHEEL_READINGS:
-        return Examined(())
+        return Examined((_too_short(drive),))
     ticks = configured["encoder_source"] == "ticks"
     bits = int(configured["encoder_bits"]) if ticks else None
     counters = [read_counter(wheel, bits) for wheel in (drive.left, drive.right)]
     findings = _counter_findings(counters, bits)
+    if len(drive.fixes) < FEWEST_READINGS:
+        findings.append(_too_short(drive))
     moved = [float(np.sum(np.abs(np.diff(counter.readings[:, 1])))) for counter in counters]
     if sum(moved) < (FEWEST_COUNTS if ticks else STILL_RAD):
         return Examined(in_order([*findings, _standing(moved)]))
     if min(moved) == 0.0:
-        stuck = "left" if moved[0] == 0.0 else "right"
-        findings.append(_stuck(stuck, max(moved)))
+        return Examined(in_order([*findings, _stuck(moved)]))
+    findings += _frozen(drive)
+    if any(finding.name == "frozen_sensor" and "fixes" in finding.sentence for finding in findings):
         return Examined(in_order(findings))
-    meters = meters_per_count(configured)
-    readings = Readings(
-        wheel_travel(*(
+    travel = wheel_travel(
+        *(
             _signed(counter, configured, side)
             for counter, side in zip(counters, ("left", "right"), strict=True)
-        )),
+        )
+    )
+    readings = Readings(
+        travel,
         _as_configured(drive.compass, configured),
         _as_configured_fixes(drive.fixes, configured),
-    )  # fmt: skip
-    if len(readings.travel.times) < FEWEST_WHEEL_READINGS:
-        return Examined(in_order(findings))
-    expected = np.array([0.0, 2.0 * meters / float(configured["wheel_separation"])])
-    evidence = evidence_of(readings, expected)
-    explanation = explain(evidence, meters, float(configured["wheel_separation"]))
+    )
+    if len(travel.times) < FEWEST_WHEEL_READINGS:
+        return Examined(in_order([*findings, _too_short(drive)]))
+    return _compared(readings, configured, findings)
+
+
+def _compared(
+    readings: Readings, configured: Mapping[str, Any], findings: list[Finding]
+) -> Examined:
+    """Return what wheels, fixes and compass say of each other, beside what was found already."""
+    meters, separation = meters_per_count(configured), float(configured["wheel_separation"])
+    evidence = evidence_of(readings, np.array([0.0, 2.0 * meters / separation]))
+    explanation = explain(evidence, meters, separation)
     if evidence.random_compass:
-        findings.append(_random(readings))
+        findings = [*findings, _random(readings)]
+    elif evidence.compass is None and evidence.fix_yaw is None and not findings:
+        findings = [_no_yaw()]
     if explanation is None:
         return Examined(in_order(findings), evidence)
-    context = Context(
-        configured, evidence, explanation, float(np.median(np.diff(drive.left[:, 0])))
-    )
+    interval_s = float(np.median(np.diff(readings.travel.times)))
+    context = Context(configured, evidence, explanation, interval_s)
     sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
     rotation = max((turned(readings.travel, each.fit) for each in sources), default=math.inf)
     found = geometry_findings(context)
     if rotation < LEAST_ROTATION:
-        findings.append(_straight(rotation))
         found = [finding for finding in found if finding.name not in NEED_TURNS]
-    findings += found
-    return Examined(in_order(findings), evidence, explanation, _estimates(context))
+        found.append(_straight(rotation))
+    return Examined(in_order([*findings, *found]), evidence, explanation, _estimates(context))
 
 
 def meters_per_count(configured: Mapping[str, Any]) -> float:
@@ -131,13 +149,13 @@ def _signed(counter: Counter, configured: Mapping[str, Any], side: str) -> Float
 def _as_configured(compass: FloatArray, configured: Mapping[str, Any]) -> FloatArray:
     """Return compass readings as the localizer takes them."""
     sign = -1.0 if configured["compass_clockwise"] else 1.0
-    delay = float(configured.get("compass_delay", 0.0))
+    delay = float(configured["compass_delay"])
     return compass * [1.0, sign] + [-delay, float(configured["compass_offset"])]
 
 
 def _as_configured_fixes(fixes: FloatArray, configured: Mapping[str, Any]) -> FloatArray:
     scale = float(configured["lrf_pose_scale"])
-    delay = float(configured.get("lrf_pose_delay", 0.0))
+    delay = float(configured["lrf_pose_delay"])
     offset = float(configured["lrf_yaw_offset"])
     return fixes * [1.0, scale, scale, 1.0] + [-delay, 0.0, 0.0, offset]
 
@@ -181,11 +199,48 @@ def _standing(moved: list[float]) -> Finding:
     )
 
 
-def _stuck(side: str, other: float) -> Finding:
+def _too_short(drive: Drive) -> Finding:
+    return Finding(
+        "too_short",
+        "there are too few readings to compare wheels and sensors: record a minute or more",
+        f"{len(drive.left)} of the left wheel, {len(drive.right)} of the right one, "
+        f"{len(drive.compass)} of the compass, {len(drive.fixes)} fixes",
+        Certainty.CERTAIN,
+    )
+
+
+def _stuck(moved: list[float]) -> Finding:
+    side = "left" if moved[0] == 0.0 else "right"
     return Finding(
         "stuck_wheel",
         f"the {side} counter never changes: cable, encoder or topic",
-        f"the other one moved by {other:g} counts",
+        f"the other one moved by {max(moved):g} counts",
+        Certainty.CERTAIN,
+    )
+
+
+def _frozen(drive: Drive) -> list[Finding]:
+    """Return the sensors that show the same all the time."""
+    found = []
+    for name, readings in (("compass", drive.compass[:, 1:2]), ("fixes", drive.fixes[:, 1:3])):
+        if len(readings) >= FEWEST_READINGS and not np.any(np.ptp(readings, axis=0)):
+            verb = "change" if name == "fixes" else "changes"
+            found.append(
+                Finding(
+                    "frozen_sensor",
+                    f"the {name} never {verb} although the wheels move the robot",
+                    f"{len(readings)} equal readings",
+                    Certainty.CERTAIN,
+                )
+            )
+    return found
+
+
+def _no_yaw() -> Finding:
+    return Finding(
+        "no_yaw",
+        "nothing gives a yaw: neither a compass nor the fixes",
+        "without one, wheels and fixes cannot be compared, and the filter cannot start",
         Certainty.CERTAIN,
     )
 

@@ -37,8 +37,8 @@ SLAB_STD = np.array([4.0, 1.0, 4.0, 2.0, 2.0, 0.5, 0.5])
 COST = {
     "scale": 3.0, "ratio": 3.0, "left_wheel": 3.5, "right_wheel": 3.5, "separation": 3.0,
     "compass_offset": 3.0, "fix_yaw_offset": 3.0, "compass_delay": 3.0, "fix_delay": 3.0,
-    "left_inverted": 8.0, "right_inverted": 8.0, "swapped": 9.0, "compass_clockwise": 8.0,
-    "fix_yaw_clockwise": 12.0, "fixes_mirrored": 18.0, "fix_unit": 9.0,
+    "left_inverted": 8.0, "right_inverted": 8.0, "swapped": 10.0, "compass_clockwise": 8.0,
+    "fix_yaw_clockwise": 12.0, "fixes_mirrored": 12.0, "fix_unit": 9.0,
 }  # fmt: skip
 """Log odds that each mistake costs [nats]: a number has to explain 6 in chi square."""
 PRUNED_BELOW = 30.0
@@ -47,6 +47,13 @@ UNKNOWN_STD = 1e3
 """Standard deviation of what was not observed [rad]."""
 FIX_UNITS = (1000.0, 100.0)
 """Units of the fixes a meter, if they are not meters: millimeters, centimeters."""
+BOTH_INVERTED = -6.0
+"""Log odds that both counters together cost in addition [nats]: a robot that drives backward by
+both is also one with swapped wheels whose yaw is off by pi, but that would be two mistakes."""
+BACKWARD = 2.0
+"""Offset of a yaw from which on it is taken for a sensor that is mounted backward [rad]."""
+BACKWARD_COST = 3.0
+"""Log odds that such an offset costs in addition [nats]."""
 LARGE_ROBOT = math.log(30.0)
 """Factor, as a logarithm, by which no robot is larger than configured: lengths that are given in
 another unit than meters are too large, never too small."""
@@ -215,7 +222,9 @@ class _Search:
         if key not in self.scores:
             score, numbers, _ = _score(self._observed, self._direction, wiring, free)
             large = min(numbers[0], numbers[2]) > LARGE_ROBOT
+            backward = np.abs(numbers[[3, 4]]) > BACKWARD
             cost = _cost((*wiring.mistakes(), *free)) + (LARGE_ROBOT_COST if large else 0.0)
+            cost += BACKWARD_COST * float(np.sum(backward))
             self.scores[key] = score - cost
         return self.scores[key]
 
@@ -233,7 +242,8 @@ def _same_mistake(name: str, names: tuple[str, ...]) -> bool:
 
 
 def _cost(names: tuple[str, ...]) -> float:
-    return sum(COST[name] for name in names)
+    both = BOTH_INVERTED if {"left_inverted", "right_inverted"} <= {*names} else 0.0
+    return sum(COST[name] for name in names) + both
 
 
 def _options(evidence: Evidence) -> list[str]:

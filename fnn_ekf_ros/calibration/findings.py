@@ -86,6 +86,8 @@ KINDS = {
     "late_messages": "Messages arrive so late that the localizer drops them.",
     "standing": "The robot stood still, so nothing can be said of wheels and sensors.",
     "never_turning": "The robot never turned, so separation and sides cannot be told.",
+    "too_short": "There are too few readings to compare wheels and sensors.",
+    "frozen_sensor": "A sensor never changes although the wheels move the robot.",
     "stuck_wheel": "A wheel's counter never changes although the other one's does.",
     "encoder_bits": "The counters wrap at another width than encoder_bits.",
     "counter_resets": "Counters jump by more than a wheel can turn.",

@@ -316,7 +316,7 @@ def _delays(context: Context) -> list[Finding]:
         if odds is None:
             continue
         by, std = context.explanation.value(name), context.explanation.std(name)
-        about = float(context.configured.get(parameter, 0.0))
+        about = float(context.configured[parameter])
         least = max(LEAST_DELAY_S, SAMPLED * context.wheel_interval_s)
         found.append(
             Finding(

@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
             collector.add(record)
             readings.add(record)
         facts = by_name(collector.facts())
-        clocks, skews = clock_findings(plan, facts, float(values["history"]))
+        clocks, skews = clock_findings(plan, facts, values)
         examined = examine(readings.drive(skews), values)
         findings = in_order([
             *plan.findings, *configured.findings, *readings.joint_findings(), *clocks,
@@ -254,15 +254,15 @@ def _edge_findings(
                 )
             )
     compass = plan.topics.get(messages.COMPASS)
-    if (compass is None or facts[compass].messages == 0) and not values["lrf_use_yaw"]:
-        usable = readings.fixes_have_yaw
+    usable = readings.fixes_have_yaw
+    if (compass is None or facts[compass].messages == 0) and usable and not values["lrf_use_yaw"]:
         found.append(
             Finding(
                 "no_yaw",
                 "there is no compass, and the yaw of the fixes is not used",
-                "the fixes have a yaw" if usable else "the fixes have no yaw either",
+                "the fixes have a yaw",
                 Certainty.CERTAIN,
-                (Change("lrf_use_yaw", value=True),) if usable else (),
+                (Change("lrf_use_yaw", value=True),),
             )
         )
     return found

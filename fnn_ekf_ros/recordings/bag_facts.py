@@ -9,10 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fnn_ekf_ros import messages
 from fnn_ekf_ros.recordings.bag_files import BagReader, Record, Topic
 
 _HEADERS = ("std_msgs/Header header", "std_msgs/msg/Header header")
 """First field of the definition of a type with stamps."""
+_STAMPED = {
+    messages.COMPASS_TYPE, messages.JOINT_STATES_TYPE, messages.ODOMETRY_TYPE, messages.POSE_TYPE,
+}  # fmt: skip
+"""Types with stamps, also where their definition was not recorded."""
 MOST_KEPT = 1_000_000
 """Largest number of times that are kept of one topic; of more, the first ones."""
 
@@ -73,7 +78,7 @@ class FactsCollector:
 class _Collected:
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
-        self._stamped = _has_header(topic.definition)
+        self._stamped = topic.type_name in _STAMPED or _has_header(topic.definition)
         self._times: list[int] = []
         self._stamps: list[int] = []
         self._frames: set[str] = set()

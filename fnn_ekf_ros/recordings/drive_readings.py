@@ -15,12 +15,15 @@ from fnn_ekf_ros.calibration.examination import Drive
 from fnn_ekf_ros.calibration.findings import Certainty, Change, Finding
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
+from fnn_ekf_ros.parameters.localizer import LARGEST_DELAY_S
 from fnn_ekf_ros.recordings.bag_facts import TopicFacts
 from fnn_ekf_ros.recordings.bag_files import BagReader, Record
 from fnn_ekf_ros.recordings.input_plan import InputPlan
 
 AHEAD_S = 0.05
 """How far stamps may be ahead of the bag's clock [s]: synchronized clocks differ by less."""
+_DELAYS = {messages.COMPASS: "compass_delay", messages.LRF_POSE: "lrf_pose_delay"}
+"""Parameter that is subtracted from the stamps of a topic."""
 LONGEST_AGE_S = 5.0
 """How old stamps may be: no sensor computes for so long [s]."""
 
@@ -135,14 +138,14 @@ def _wheel_joints(names: list[str]) -> tuple[str, str] | None:
 
 
 def clock_findings(
-    plan: InputPlan, facts: Mapping[str, TopicFacts], history_s: float
+    plan: InputPlan, facts: Mapping[str, TopicFacts], configured: Mapping[str, Any]
 ) -> tuple[list[Finding], dict[str, float]]:
     """Return what is wrong with stamps against the bag's clock, and the skews to put right [s].
 
     Args:
         plan: the topics that are read.
         facts: of the bag, by topic.
-        history_s: how late a message may come and still be fused [s].
+        configured: parameters of the localizer, by name.
     """
     findings: list[Finding] = []
     skews: dict[str, float] = {}
@@ -150,21 +153,22 @@ def clock_findings(
         fact = facts[name]
         if math.isnan(fact.latency_s):
             continue
-        ahead = -fact.latency_s
+        delay_s = float(configured.get(_DELAYS.get(topic, ""), 0.0))
+        ahead = -fact.latency_s - delay_s
         if ahead > AHEAD_S or ahead < -LONGEST_AGE_S:
             skews[topic] = ahead
-            findings.append(_skew(topic, fact, ahead))
-        elif fact.latency_s + 0.5 * fact.latency_spread_s > history_s:
-            findings.append(_late(fact, history_s))
+            findings.append(_skew(topic, fact, ahead, ahead + delay_s))
+        elif delay_s - ahead + 0.5 * fact.latency_spread_s > float(configured["history"]):
+            findings.append(_late(fact, float(configured["history"])))
     return findings, skews
 
 
-def _skew(topic: str, fact: TopicFacts, ahead: float) -> Finding:
-    parameter = {messages.COMPASS: "compass_delay", messages.LRF_POSE: "lrf_pose_delay"}.get(topic)
+def _skew(topic: str, fact: TopicFacts, ahead: float, delay_s: float) -> Finding:
+    parameter = _DELAYS.get(topic)
     half = 0.5 * fact.latency_spread_s
-    changes = (
-        () if parameter is None else (Change(parameter, ahead, ahead - half, ahead + half, "s"),)
-    )
+    changes: tuple[Change, ...] = ()
+    if parameter is not None and abs(delay_s) <= LARGEST_DELAY_S:
+        changes = (Change(parameter, delay_s, delay_s - half, delay_s + half, "s"),)
     where = "ahead of" if ahead > 0.0 else "behind"
     return Finding(
         "clock_skew",

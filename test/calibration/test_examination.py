@@ -136,6 +136,48 @@ def test_swapped_ticks_are_put_right_by_remapping() -> None:
     assert finding.remaps == ("left_ticks:=/right_ticks", "right_ticks:=/left_ticks")
 
 
+def test_counters_that_both_run_backward_are_both_named() -> None:
+    examined = examine(drive(1), parameters(left_inverted=True, right_inverted=True))
+    assert [each.name for each in serious(examined)] == ["left_inverted", "right_inverted"]
+
+
+def test_mirrored_fixes_are_told_from_a_mirrored_compass() -> None:
+    given = drive(1)
+    mirrored = given._replace(fixes=given.fixes * [1.0, 1.0, -1.0, -1.0])
+    assert [each.name for each in serious(examine(mirrored, parameters()))] == ["fixes_mirrored"]
+
+
+def test_a_sensor_that_never_changes_is_named() -> None:
+    given = drive(1, 40.0)
+    compass = given._replace(compass=given.compass * [1.0, 0.0])
+    fixes = given._replace(fixes=given.fixes * [1.0, 0.0, 0.0, 0.0])
+    for spoiled, name in ((compass, "compass"), (fixes, "fixes")):
+        (finding,) = serious(examine(spoiled, parameters()))
+        assert finding.name == "frozen_sensor"
+        assert name in finding.sentence
+
+
+def test_without_any_yaw_it_says_so() -> None:
+    given = drive(1, 40.0)
+    blind = given._replace(compass=given.compass[:0], fixes=given.fixes * [1.0, 1.0, 1.0, np.nan])
+    assert [each.name for each in examine(blind, parameters()).findings] == ["no_yaw"]
+
+
+@pytest.mark.parametrize("sensor", ["left", "right", "fixes"])
+def test_too_few_readings_are_no_clean_bill(sensor: str) -> None:
+    given = drive(1, 20.0)
+    few = given._replace(**{sensor: getattr(given, sensor)[:5]})
+    assert [each.name for each in examine(few, parameters()).findings] == ["too_short"]
+
+
+def test_outliers_and_a_robot_that_was_carried_are_no_mistakes() -> None:
+    given, rng = drive(2), np.random.default_rng(7)
+    wild = given.fixes + np.outer(rng.random(len(given.fixes)) < 0.15, [0.0, 2.0, -3.0, 1.0])
+    carried = given.fixes + np.outer(np.arange(len(given.fixes)) > 70, [0.0, 5.0, 3.0, 0.0])
+    for fixes in (wild, carried):
+        assert serious(examine(given._replace(fixes=fixes), parameters())) == []
+
+
 def test_estimates_do_not_depend_on_the_configuration() -> None:
     given = drive(2)
     right = examine(given, parameters())

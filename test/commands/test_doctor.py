@@ -117,11 +117,13 @@ def test_another_frame_of_the_fixes_is_found(tmp_path: Path) -> None:
                                                   ("lrf_pose", "lrf_pose_delay")])  # fmt: skip
 def test_stamps_ahead_of_the_bag_are_found(tmp_path: Path, topic: str, parameter: str) -> None:
     write_bag(tmp_path / "bag", drive(1, 40.0), stamp_errors_s={topic: 0.6})
-    content = report(tmp_path / "bag", *GEOMETRY)
+    fixed = tmp_path / "fixed.yaml"
+    content = report(tmp_path / "bag", *GEOMETRY, "--write-params", fixed)
     (finding,) = [each for each in content["findings"] if each["certainty"] != "possible"]
     assert finding["name"] == "clock_skew"
     assert finding["changes"][0]["parameter"] == parameter
     assert finding["changes"][0]["value"] == pytest.approx(0.6, abs=0.01)
+    assert names(report(tmp_path / "bag", "--params", fixed)) == []
 
 
 def test_a_bag_without_any_yaw_gets_lrf_use_yaw(tmp_path: Path) -> None:
