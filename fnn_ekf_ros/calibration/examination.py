@@ -17,9 +17,10 @@ from fnn_ekf_ros.calibration.evidence import (
     evidence_of,
     turned,
 )
-from fnn_ekf_ros.calibration.explanation import NUMBERS, Explanation, explain
+from fnn_ekf_ros.calibration.explanation import Explanation, explain
 from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, in_order
 from fnn_ekf_ros.calibration.geometry_findings import Context, geometry_findings
+from fnn_ekf_ros.calibration.robot import Number
 from fnn_ekf_ros.calibration.travel import wheel_travel
 from fnn_ekf_ros.core.arrays import FloatArray
 
@@ -31,6 +32,16 @@ LEAST_ROTATION = 0.5
 """Range of directions below which the robot never turned [rad]."""
 NEED_TURNS = ("wheel_separation", "wheel_ratio", "wheels_swapped", "compass_clockwise")
 """Findings that only a robot that turns can give."""
+ESTIMATED = {
+    Number.SCALE: "wheel_radius",
+    Number.RATIO: "right_over_left",
+    Number.SEPARATION: "wheel_separation",
+    Number.COMPASS_OFFSET: "compass_offset",
+    Number.FIX_YAW_OFFSET: "lrf_yaw_offset",
+    Number.COMPASS_DELAY: "compass_delay",
+    Number.FIX_DELAY: "lrf_pose_delay",
+}
+"""Names of the estimates; all but `right_over_left` are parameters."""
 FEWEST_WHEEL_READINGS = 20
 """Readings of each wheel that an examination needs."""
 
@@ -267,19 +278,18 @@ def _random(readings: Readings) -> Finding:
 def _estimates(context: Context) -> tuple[Change, ...]:
     """Return all numbers that the evidence determines, whether they are wrong or not."""
     explanation = context.explanation
-    parameters = dict(zip(NUMBERS, (
-        "wheel_radius", "right_over_left", "wheel_separation", "compass_offset", "lrf_yaw_offset",
-        "compass_delay", "lrf_pose_delay"), strict=True))  # fmt: skip
     found = []
-    for name in NUMBERS:
+    for number, parameter in ESTIMATED.items():
+        name = number.name.lower()
         value, std = explanation.value(name), explanation.std(name)
         if name in ("scale", "separation"):
-            found.append(context.change(parameters[name], math.exp(value), std, "m"))
+            found.append(context.change(parameter, math.exp(value), std, "m"))
         elif name == "ratio":
             spread = math.exp(LEVEL * std)
             ratio = math.exp(value)
-            found.append(Change(parameters[name], ratio, ratio / spread, ratio * spread))
+            found.append(Change(parameter, ratio, ratio / spread, ratio * spread))
         else:
             unit = "s" if name.endswith("delay") else "rad"
-            found.append(context.shift(parameters[name], value, std, unit))
+            about = float(context.configured[parameter])
+            found.append(context.shift(parameter, value, std, unit, about))
     return tuple(found)

@@ -4,11 +4,7 @@
 """The simplest mistakes that explain what the readings say.
 
 The readings give rotation and distance per count, yaw offsets and delays, each with its covariance
-(`Evidence`). A robot predicts them from the sizes of its wheels rho_l, rho_r [m per count, negative
-if a counter runs backward], their separation L, negative if they are swapped, and its sensors:
-
-    a_s = h (rho_r - rho_l) / L     a_d = h (rho_r + rho_l) / L     h = -1: a yaw is clockwise
-    b_s = u (rho_r + rho_l) / 2     b_d = u (rho_r - rho_l) / 2     u: units of the fixes a meter
+(`Evidence`); a robot that is wired and sized in some way would show others (`robot`).
 
 A hypothesis says what is wrong: signs and units (`Wiring`), and which numbers differ from the
 configured ones. Numbers that are not wrong may differ by what calibration leaves (`SPIKE_STD`).
@@ -24,12 +20,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.calibration.evidence import Evidence
+from fnn_ekf_ros.calibration.robot import (
+    Direction,
+    Number,
+    Observed,
+    Wiring,
+    difference_of,
+    direction_of,
+    observed_in,
+    predicted_of,
+    seen_as_observed,
+    slope_of,
+)
 from fnn_ekf_ros.core.arrays import FloatArray
 
-NUMBERS = ("scale", "ratio", "separation", "compass_offset", "fix_yaw_offset", "compass_delay",
-           "fix_delay")  # fmt: skip
-"""Numbers of a robot, against the configuration: log of meters per count, log of the right wheel's
-over the left one's, log of the separation [none]; offsets [rad]; delays [s]."""
 SPIKE_STD = np.array([0.01, 0.003, 0.015, 0.03, 0.03, 0.03, 0.03])
 """What calibration leaves of each number that is not wrong, as a standard deviation."""
 SLAB_STD = np.array([4.0, 1.0, 4.0, 2.0, 2.0, 0.5, 0.5])
@@ -43,8 +47,6 @@ COST = {
 """Log odds that each mistake costs [nats]: a number has to explain 6 in chi square."""
 PRUNED_BELOW = 30.0
 """Log posterior below the best one, with all numbers free, from which on a wiring is left out."""
-UNKNOWN_STD = 1e3
-"""Standard deviation of what was not observed [rad]."""
 FIX_UNITS = (1000.0, 100.0)
 """Units of the fixes a meter, if they are not meters: millimeters, centimeters."""
 BOTH_INVERTED = -6.0
@@ -61,44 +63,6 @@ LARGE_ROBOT_COST = 12.0
 """Log odds that such a robot costs [nats]."""
 
 
-class Wiring(NamedTuple):
-    """Signs and units, +1 where they are as configured.
-
-    Attributes:
-        left: -1: the left counter runs the other way.
-        right: likewise.
-        sides: -1: left and right wheel are swapped.
-        compass: -1: the compass counts clockwise.
-        fix_yaw: -1: the yaw of the fixes does.
-        mirror: -1: the fixes are mirrored.
-        unit: units of the fixes a meter.
-    """
-
-    left: int = 1
-    right: int = 1
-    sides: int = 1
-    compass: int = 1
-    fix_yaw: int = 1
-    mirror: int = 1
-    unit: float = 1.0
-
-    def mistakes(self) -> tuple[str, ...]:
-        """Return the names of what is wrong."""
-        return tuple(
-            name
-            for name, wrong in (
-                ("left_inverted", self.left < 0),
-                ("right_inverted", self.right < 0),
-                ("swapped", self.sides < 0),
-                ("compass_clockwise", self.compass < 0),
-                ("fix_yaw_clockwise", self.fix_yaw < 0),
-                ("fixes_mirrored", self.mirror < 0),
-                ("fix_unit", self.unit != 1.0),
-            )
-            if wrong
-        )
-
-
 class Explanation(NamedTuple):
     """What explains the evidence best.
 
@@ -106,7 +70,7 @@ class Explanation(NamedTuple):
         wiring: signs and units.
         wrong: names of the mistakes, of `COST`, with the log odds that each of them has against the
             best explanation without it [nats].
-        numbers: `(7,)` `NUMBERS`, all free.
+        numbers: `(7,)` `Number`s, all free.
         covariance: `(7, 7)` of these.
     """
 
@@ -116,27 +80,13 @@ class Explanation(NamedTuple):
     covariance: FloatArray
 
     def value(self, name: str) -> float:
-        """Return one of the `NUMBERS`."""
-        return float(self.numbers[NUMBERS.index(name)])
+        """Return one of the `Number`s."""
+        return float(self.numbers[Number[name.upper()]])
 
     def std(self, name: str) -> float:
         """Return its standard error."""
-        at = NUMBERS.index(name)
+        at = Number[name.upper()]
         return math.sqrt(max(float(self.covariance[at, at]), 0.0))
-
-
-class _Observed(NamedTuple):
-    """One group of observed numbers.
-
-    Attributes:
-        kind: "compass", "fix_yaw" or "displacement".
-        values: `(n,)`.
-        precision: `(n, n)` inverse of their covariance.
-    """
-
-    kind: str
-    values: FloatArray
-    precision: FloatArray
 
 
 _FREE = {
@@ -156,10 +106,10 @@ def explain(evidence: Evidence, meters_per_count: float, separation: float) -> E
         meters_per_count: as configured, of both wheels [m per count].
         separation: as configured, L [m].
     """
-    observed = _observed(evidence, meters_per_count, separation)
+    observed = observed_in(evidence, meters_per_count, separation)
     if not observed:
         return None
-    direction = _direction_of(evidence)
+    direction = direction_of(evidence)
     search = _Search(observed, evidence, direction)
     wirings = _wirings(evidence)
     everything = _loosest(evidence)
@@ -188,7 +138,7 @@ class _Search:
     """
 
     def __init__(
-        self, observed: list[_Observed], evidence: Evidence, direction: "_Direction"
+        self, observed: list[Observed], evidence: Evidence, direction: "Direction"
     ) -> None:
         self._observed, self._direction = observed, direction
         self._options = _options(evidence)
@@ -221,8 +171,8 @@ class _Search:
         key = (wiring, free)
         if key not in self.scores:
             score, numbers, _ = _score(self._observed, self._direction, wiring, free)
-            large = min(numbers[0], numbers[2]) > LARGE_ROBOT
-            backward = np.abs(numbers[[3, 4]]) > BACKWARD
+            large = min(numbers[Number.SCALE], numbers[Number.SEPARATION]) > LARGE_ROBOT
+            backward = np.abs(numbers[[Number.COMPASS_OFFSET, Number.FIX_YAW_OFFSET]]) > BACKWARD
             cost = _cost((*wiring.mistakes(), *free)) + (LARGE_ROBOT_COST if large else 0.0)
             cost += BACKWARD_COST * float(np.sum(backward))
             self.scores[key] = score - cost
@@ -296,129 +246,6 @@ def _fits_path(wiring: Wiring, evidence: Evidence) -> bool:
     return True
 
 
-def _observed(evidence: Evidence, meters: float, separation: float) -> list[_Observed]:
-    """Return the observed numbers, rotations and distances in units of the configured ones."""
-    found = []
-    unit = np.array([2.0 * meters / separation, 2.0 * meters / separation, 1.0])
-    for name, source in (("compass", evidence.compass), ("fix_yaw", evidence.fix_yaw)):
-        if source is not None and source.usable:
-            fit = source.fit
-            found.append(_group(name, fit.coefficients / unit, fit.covariance, unit))
-    if evidence.best is not None:
-        found.append(_displacement(evidence, meters))
-    return found
-
-
-def _displacement(evidence: Evidence, meters: float) -> _Observed:
-    """Return b_s, b_d, g and the delay by the best yaw, and g of the other yaw, if there is one.
-
-    Both coefficients of the other sign with g + pi say the same, so the other yaw's g is taken with
-    the signs of the best one's.
-    """
-    best, other = evidence.best, evidence.other
-    assert best is not None
-    assert best.displacement is not None
-    unit = np.array([meters, meters, 1.0, 1.0, 1.0])
-    values, covariance = np.zeros(5), np.eye(5) * UNKNOWN_STD**2
-    values[:4], covariance[:4, :4] = best.displacement.coefficients, best.displacement.covariance
-    if other is not None and other.displacement is not None:
-        backward = float(values[:2] @ other.displacement.coefficients[:2]) < 0.0
-        values[4] = other.displacement.coefficients[2] + (math.pi if backward else 0.0)
-        covariance[4, 4] = other.displacement.covariance[2, 2]
-    return _group("displacement", values / unit, covariance, unit)
-
-
-def _group(kind: str, values: FloatArray, covariance: FloatArray, unit: FloatArray) -> _Observed:
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(std, std)
-    precision = np.linalg.inv(correlation) * np.outer(unit / std, unit / std)
-    return _Observed(kind, values, np.asarray(precision))
-
-
-class _Direction(NamedTuple):
-    """Where the direction of travel comes from.
-
-    Attributes:
-        from_compass: whether that is the compass; otherwise it is the yaw of the fixes.
-        yaw_share: how much of it is the yaw sensor's rather than the wheels'. Where wheels explain
-            the yaw, directions are on their clock, whatever the sensor's stamps are.
-        taken_off_s: delay that was taken off the sensor's stamps [s].
-    """
-
-    from_compass: bool
-    yaw_share: float
-    taken_off_s: float
-
-
-def _direction_of(evidence: Evidence) -> _Direction:
-    best = evidence.best
-    if best is None:
-        return _Direction(from_compass=True, yaw_share=0.0, taken_off_s=0.0)
-    return _Direction(
-        from_compass=best is evidence.compass,
-        yaw_share=1.0 - max(best.fit.explained, 0.0),
-        taken_off_s=best.fit.level_delay_s,
-    )
-
-
-def _predicted(kind: str, x: FloatArray, wiring: Wiring, direction: _Direction) -> FloatArray:
-    """Return what a robot would show, in the units of `_observed`."""
-    left = wiring.left * math.exp(x[0] - 0.5 * x[1])
-    right = wiring.right * math.exp(x[0] + 0.5 * x[1])
-    mean, half = 0.5 * (right + left), 0.5 * (right - left)
-    if kind != "displacement":
-        hand = wiring.compass if kind == "compass" else wiring.fix_yaw * wiring.mirror
-        turn = hand * wiring.sides * math.exp(-x[2])
-        return np.array([turn * half, turn * mean, x[5] if kind == "compass" else x[6]])
-    own, other = (3, 4) if direction.from_compass else (4, 3)
-    late = x[5 if direction.from_compass else 6] - direction.taken_off_s
-    return np.array([
-        wiring.unit * mean, wiring.unit * half, x[own], x[6] - direction.yaw_share * late, x[other],
-    ])  # fmt: skip
-
-
-def _slope(kind: str, predicted: FloatArray, direction: _Direction) -> FloatArray:
-    """Return the derivative `(n, 7)` of what a robot would show, by its numbers."""
-    one, other = predicted[:2]
-    slope = np.zeros((len(predicted), len(NUMBERS)))
-    slope[:2, 0] = one, other
-    slope[:2, 1] = 0.5 * other, 0.5 * one
-    if kind != "displacement":
-        slope[:2, 2] = -one, -other
-        slope[2, 5 if kind == "compass" else 6] = 1.0
-        return slope
-    best, second = (3, 4) if direction.from_compass else (4, 3)
-    slope[2, best] = slope[4, second] = slope[3, 6] = 1.0
-    slope[3, 5 if direction.from_compass else 6] -= direction.yaw_share
-    return slope
-
-
-def _seen_as_observed(
-    group: _Observed, predicted: FloatArray, slope: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return a prediction and its slope with the signs in which displacements were observed.
-
-    A displacement backward is one forward in a direction turned by pi.
-    """
-    if group.kind != "displacement" or group.values[:2] @ predicted[:2] >= 0.0:
-        return predicted, slope
-    turned, signs = predicted.copy(), np.array([-1.0, -1.0, 1.0, 1.0, 1.0])
-    turned[_ANGLES] += math.pi
-    return turned * signs, slope * signs[:, None]
-
-
-def _difference(group: _Observed, predicted: FloatArray) -> FloatArray:
-    """Return observed minus predicted numbers, angles the short way round."""
-    difference = group.values - predicted
-    if group.kind == "displacement":
-        difference[_ANGLES] = [math.remainder(each, 2.0 * math.pi) for each in difference[_ANGLES]]
-    return difference
-
-
-_ANGLES = [2, 4]
-"""Which numbers of a displacement are angles."""
-
-
 def _prior(free: tuple[str, ...]) -> FloatArray:
     """Return the inverse covariance `(7, 7)` of the numbers before the readings."""
     covariance = np.diag(SPIKE_STD**2)
@@ -427,13 +254,13 @@ def _prior(free: tuple[str, ...]) -> FloatArray:
             slab = SLAB_STD[0] if name == "scale" else SLAB_STD[1]
             covariance[:2, :2] += slab**2 * np.outer(_FREE[name], _FREE[name])
         else:
-            at = NUMBERS.index("fix_delay" if name == "fix_delay" else name)
+            at = Number[name.upper()]
             covariance[at, at] = SLAB_STD[at] ** 2
     return np.linalg.inv(covariance)
 
 
 def _score(
-    observed: list[_Observed], direction: _Direction, wiring: Wiring, free: tuple[str, ...]
+    observed: list[Observed], direction: Direction, wiring: Wiring, free: tuple[str, ...]
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return log posterior, numbers and their covariance by Gauss-Newton."""
     prior = _prior(free)
@@ -443,10 +270,10 @@ def _score(
     for _ in range(12):
         normal, gradient, cost = prior.copy(), prior @ x, float(x @ prior @ x)
         for group in observed:
-            predicted = _predicted(group.kind, x, wiring, direction)
-            slope = _slope(group.kind, predicted, direction)
-            predicted, slope = _seen_as_observed(group, predicted, slope)
-            left = _difference(group, predicted)
+            predicted = predicted_of(group.kind, x, wiring, direction)
+            slope = slope_of(group.kind, predicted, direction)
+            predicted, slope = seen_as_observed(group, predicted, slope)
+            left = difference_of(group, predicted)
             normal += slope.T @ group.precision @ slope
             gradient -= slope.T @ group.precision @ left
             cost += float(left @ group.precision @ left)
@@ -459,8 +286,8 @@ def _score(
     return -0.5 * cost, x, np.asarray(np.linalg.inv(precision))
 
 
-def _start(observed: list[_Observed], wiring: Wiring, free: tuple[str, ...]) -> FloatArray:
-    x = np.zeros(len(NUMBERS))
+def _start(observed: list[Observed], wiring: Wiring, free: tuple[str, ...]) -> FloatArray:
+    x = np.zeros(len(Number))
     rotation = distance = None
     for group in observed:
         if group.kind in ("compass", "fix_yaw") and rotation is None:
@@ -468,9 +295,9 @@ def _start(observed: list[_Observed], wiring: Wiring, free: tuple[str, ...]) -> 
         if group.kind == "displacement":
             distance = float(np.hypot(*group.values[:2])) / wiring.unit
     if "scale" in free and distance:
-        x[0] = math.log(distance)
+        x[Number.SCALE] = math.log(distance)
     elif "scale" in free and rotation:
-        x[0] = math.log(rotation)
+        x[Number.SCALE] = math.log(rotation)
     if "separation" in free and rotation:
-        x[2] = x[0] - math.log(rotation)
+        x[Number.SEPARATION] = x[Number.SCALE] - math.log(rotation)
     return x

@@ -55,7 +55,6 @@ class YawFit(NamedTuple):
         covariance: `(3, 3)` of these.
         noise_std: of one reading [rad].
         explained: share of the yaw's changes, from reading to reading, that the wheels explain.
-        long_changes: `(2,)` a_s, a_d by the changes over `LONG_S` alone; NaN if there are too few.
         readings: number of readings.
         times: `(n,)` stamps of the readings, by which `level` is given [s].
         track: `(2,)` a_s, a_d that `level` goes with.
@@ -67,7 +66,6 @@ class YawFit(NamedTuple):
     covariance: FloatArray
     noise_std: float
     explained: float
-    long_changes: FloatArray
     readings: int
     times: FloatArray
     track: FloatArray
@@ -121,7 +119,6 @@ def fit_yaw(
         covariance=covariance,
         noise_std=fit.noise_std,
         explained=fit.explained,
-        long_changes=long_changes,
         readings=len(times),
         times=times,
         track=coefficients[:2],
