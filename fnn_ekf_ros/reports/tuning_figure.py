@@ -68,7 +68,9 @@ def draw_profiles(path: Path, title: str, panels: Sequence[ProfilePanel]) -> Non
             axes.axvline(panel.now, color=RED, linewidth=0.8, linestyle="--")
         if panel.logarithmic:
             axes.set_xscale("log")
-            axes.tick_params(axis="x", which="both", labelsize=7)
+            axes.minorticks_off()
+            ends = panel.values[[0, len(panel.values) // 2, -1]]
+            axes.set_xticks(ends, [f"{value:.3g}" for value in ends])
         axes.set_ylim(LOWEST_NATS, 0.5)
         axes.set_title(panel.title, fontsize=9)
     for axes in grid.flat[len(panels) :]:
