@@ -12,7 +12,7 @@ import numpy as np
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.localizer import LARGEST_DELAY_S, LocalizerParameters
 from fnn_ekf_ros.tuning.fit import (
     SHORT_OUTAGES,
     Fit,
@@ -181,6 +181,13 @@ def found_parameters(
     if calibration:
         changed["wheel_radius"] = before.wheel_radius * float(values[Quantity.RADIUS])
         changed["wheel_separation"] = before.wheel_separation * float(values[Quantity.SEPARATION])
+    for name, quantity in (
+        ("lrf_pose_delay", Quantity.FIX_DELAY),
+        ("compass_delay", Quantity.COMPASS_DELAY),
+    ):
+        if quantity in calibration:
+            delay = getattr(before, name) + round(float(values[quantity]), 3)
+            changed[name] = float(np.clip(delay, -LARGEST_DELAY_S, LARGEST_DELAY_S))
     if Quantity.OFFSET in calibration:
         offset = before.compass_offset + float(values[Quantity.OFFSET])
         changed["compass_offset"] = math.remainder(offset, 2.0 * math.pi)

@@ -13,7 +13,7 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.lasting.outages import WINDOW
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.tuning.quantities import CALIBRATION, MEANINGS, Quantity, is_logarithm, scale_of
+from fnn_ekf_ros.tuning.quantities import MEANINGS, Quantity, is_logarithm, scale_of
 from fnn_ekf_ros.tuning.recording import HORIZONS_S, TuningRecording
 from fnn_ekf_ros.tuning.tune import Model, Tuned
 from fnn_ekf_ros.tuning.uncertainty import QUANTILE, Interval
@@ -32,6 +32,8 @@ PARAMETER_OF = {
     Quantity.RADIUS: "wheel_radius",
     Quantity.SEPARATION: "wheel_separation",
     Quantity.OFFSET: "compass_offset",
+    Quantity.FIX_DELAY: "lrf_pose_delay",
+    Quantity.COMPASS_DELAY: "compass_delay",
 }
 """Parameters of the localizer that quantities belong to; the others have none."""
 
@@ -93,7 +95,11 @@ def _configured(before: LocalizerParameters, quantity: Quantity) -> tuple[float,
         return before.wheel_radius, 0.0
     if quantity is Quantity.SEPARATION:
         return before.wheel_separation, 0.0
-    return 1.0, before.compass_offset if quantity is Quantity.OFFSET else 0.0
+    return 1.0, {
+        Quantity.OFFSET: before.compass_offset,
+        Quantity.FIX_DELAY: before.lrf_pose_delay,
+        Quantity.COMPASS_DELAY: before.compass_delay,
+    }.get(quantity, 0.0)
 
 
 def _now(before: LocalizerParameters, quantity: Quantity) -> float | None:
@@ -105,6 +111,7 @@ def _now(before: LocalizerParameters, quantity: Quantity) -> float | None:
         Quantity.FIX_YAW: before.lrf_yaw_std,
         Quantity.RADIUS: before.wheel_radius, Quantity.SEPARATION: before.wheel_separation,
         Quantity.OFFSET: before.compass_offset,
+        Quantity.FIX_DELAY: before.lrf_pose_delay, Quantity.COMPASS_DELAY: before.compass_delay,
     }.get(quantity)  # fmt: skip
 
 
@@ -190,24 +197,16 @@ def _of_outages(recordings: Sequence[TuningRecording]) -> list[str]:
 
 
 def _of_calibration(tuned: Tuned) -> list[str]:
-    found = {i.quantity: i for i in tuned.shown.intervals if i.quantity in CALIBRATION}
-    values, said = tuned.shown.fit.values, []
-    ratio = found.get(Quantity.RATIO)
-    if ratio is not None and abs(ratio.coordinate) > QUANTILE * ratio.std:
-        said.append(
-            f"The right wheel is {100.0 * values[Quantity.RATIO]:+.2f} % larger than the left one; "
-            "the localizer has one wheel_radius, which is their mean."
-        )
-    for quantity, sensor in ((Quantity.FIX_DELAY, "fixes"), (Quantity.COMPASS_DELAY, "compass")):
-        delay = found.get(quantity)
-        if delay is not None and abs(delay.coordinate) > QUANTILE * delay.std:
-            late = values[quantity]
-            way = "after" if late > 0.0 else "before"
-            said.append(
-                f"The stamps of the {sensor} are {abs(late):.2f} s {way} the measurement: correct "
-                "them in the driver, the localizer has no parameter for it."
-            )
-    return said
+    ratio = tuned.shown.fit.values[Quantity.RATIO]
+    for interval in tuned.shown.intervals:
+        known = abs(interval.coordinate) > QUANTILE * interval.std
+        if interval.quantity is Quantity.RATIO and known:
+            size = "larger" if ratio > 0.0 else "smaller"
+            return [
+                f"The right wheel is {100.0 * abs(ratio):.2f} % {size} than the left one; the "
+                "localizer has one wheel_radius, which is their mean."
+            ]
+    return []
 
 
 def _listed(names: Sequence[str]) -> str:

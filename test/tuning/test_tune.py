@@ -74,9 +74,10 @@ def test_calibration_of_compass_wheels_and_delay() -> None:
     radius = found.after.wheel_radius / found.before.wheel_radius
     assert radius == pytest.approx(1.02, abs=0.012)
     assert found.shown.fit.values[Quantity.FIX_DELAY] == pytest.approx(0.375, abs=0.1)
-    said = " ".join(remarks([recording], found))
-    assert "The stamps of the fixes are" in said
-    assert "after the measurement" in said
+    assert found.after.lrf_pose_delay == pytest.approx(0.375, abs=0.1)
+    named = {line.name: line for line in lines(found, found.shown)}
+    assert named["lrf_pose_delay"].now == 0.0
+    assert named["compass_offset"].found == pytest.approx(found.after.compass_offset)
 
 
 def test_a_robot_that_never_turns_is_told_so() -> None:
