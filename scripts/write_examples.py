@@ -10,6 +10,7 @@ line of the live run in the README's table is not: `make demo` prints it.
 import argparse
 import contextlib
 import io
+import json
 import re
 import shlex
 import shutil
@@ -33,7 +34,7 @@ BAG, PARAMETERS = ROOT / demo.BAG, ROOT / demo.PARAMETERS
 """The demo's bag, and the parameters of its robot."""
 DEMO_RUNS = {label: demo.REPLAYS[name] for label, name in demo.RUNS.items() if name in demo.REPLAYS}
 """Lines of the README's table, and the arguments of `replay` for each in scripts/demo.py."""
-MEASURED = ("bias.yaml", "late.yaml", "health.json", "fixed.yaml")
+MEASURED = ("bias.yaml", "late.yaml", "health.json", "warehouse")
 """Words of the examples whose output is shown; `SHOWN` runs them."""
 ADAPTED = "FNN-EKF, replay"
 """Line of the demo's table whose estimated noise is shown."""
@@ -203,26 +204,38 @@ def evaluated(folder: Path) -> str:
     return printed_lines(run(["evaluate", demo_bag("EKF", folder), "--labels", "EKF"], folder))
 
 
-def consistency(folder: Path) -> str:
-    """Return what `evaluate` says of the demo's EKF as a whole."""
-    lines = evaluated(folder).splitlines(keepends=True)
-    return "".join(line for line in lines if line.startswith(("    EKF: NEES:", "    EKF: NIS:")))
-
-
 def compared(folder: Path) -> str:
     """Return what `compare` prints of the demo's EKF and FNN-EKF."""
     bags = demo_bag("EKF", folder), demo_bag(ADAPTED, folder)
     return printed_lines(run(["compare", *bags, "--labels", "EKF", "FNN-EKF"], folder))
 
 
-def diagnosed(folder: Path) -> str:
-    """Return what `doctor` prints in the example of README.md after its table."""
-    own = folder / "doctor"
-    own.mkdir(exist_ok=True)
-    printed = run_lines(example("README.md", "fixed.yaml").lines, own)
-    _, _, findings = printed.partition("/right_ticks")
-    lines = [line for line in findings.splitlines()[1:] if line]
-    return "".join(f"    {line}\n" for line in lines)
+def first_drive(command: str, folder: Path) -> str:
+    """Return what a command of README's first drive prints, as far as README shows it."""
+    printed = first_drive_of(folder)[command]
+    if command == "doctor":  # after the table of topics
+        _, _, printed = printed.partition("/right_ticks")
+        printed = printed.partition("\n")[2].strip()
+    elif command == "replay":  # without the time that it took
+        printed = printed.partition("\n")[2]
+    elif command == "evaluate":
+        printed = "\n".join(line for line in printed.splitlines() if ": NEES: " in line)
+    return printed_lines(printed)
+
+
+def first_drive_of(folder: Path) -> dict[str, str]:
+    """Run the commands of README's first drive, once for a folder; return what each prints."""
+    own = folder / "first drive"
+    said = own / "said.json"
+    if not said.exists():
+        own.mkdir()
+        (own / "bags").symlink_to(ROOT / "bags")
+        printed = {}
+        for line in example("README.md", "warehouse").lines:
+            words = shlex.split(line.removeprefix(COMMAND))
+            printed[words[0]] = run(words, own)
+        write_text(said, json.dumps(printed))
+    return dict(json.loads(said.read_text()))
 
 
 SHOWN = (
@@ -230,7 +243,11 @@ SHOWN = (
         Shown("README.md", label, rf"^\| {label} \| ({NUMBERS}) \|$", partial(demo_row, label))
         for label in DEMO_RUNS
     ),
-    Shown("README.md", "doctor", rf"it prints:\n\n({INDENTED})", diagnosed),
+    *(
+        Shown("README.md", command, rf"^`{command}` [^:]*:\n\n({PRINTED})\n[`#]",
+              partial(first_drive, command))
+        for command in ("doctor", "tune", "replay", "evaluate")
+    ),
     Shown("docs/diagnostics.md", "after two seconds",
           rf"Two seconds into the fault:\n\n({INDENTED})", partial(report, 2.0)),
     Shown("docs/diagnostics.md", "after fifteen seconds",
@@ -239,7 +256,6 @@ SHOWN = (
           rf"end of the demo:\n\n({INDENTED})", estimated_noise),
     Shown("docs/operation.md", "health of a replay",
           rf"so this ends with:\n\n({INDENTED})", health),
-    Shown("README.md", "consistency", rf"Of the demo's EKF:\n\n({INDENTED})", consistency),
     Shown("docs/evaluate.md", "evaluate",
           rf"starts with wrong noise:\n\n({PRINTED})\n- ", evaluated),
     Shown("docs/evaluate.md", "compare", rf"--labels EKF FNN-EKF`\):\n\n({PRINTED})\n- ", compared),
