@@ -29,7 +29,7 @@ faults: $(VENV)/.installed
 test: $(VENV)/.installed-tests lint
 	$(COLCON) build --paths . $(COLCON_PATHS)
 	$(COLCON) test --paths . $(COLCON_PATHS) --return-code-on-test-failure \
-	  --event-handlers console_direct+ --pytest-args --numprocesses auto --dist loadfile
+	  --event-handlers console_direct+ --pytest-args --numprocesses auto --dist loadgroup
 	$(COLCON) test-result --test-result-base build/colcon --verbose
 
 # Another FNN_EKF_ROS_HOSTILE_SEED than 1 sends others.
@@ -53,7 +53,7 @@ lint: $(VENV)/.installed
 # Of the tests without live nodes; nothing is written but the table on the terminal.
 coverage: $(VENV)/.installed-tests
 	mkdir -p build
-	COVERAGE_FILE=build/coverage $(BIN)/python -m pytest -q -m "not live" -n auto --dist loadfile \
+	COVERAGE_FILE=build/coverage $(BIN)/python -m pytest -q -m "not live" -n auto --dist loadgroup \
 	  --cov=fnn_ekf_ros --cov-branch --cov-report=term-missing:skip-covered
 
 release-check: $(VENV)/.installed lint
