@@ -33,11 +33,20 @@ class WheelGeometry:
 
     @property
     def meters_per_count(self) -> float:
-        """Distance of a wheel's rim per encoder count [m] (eq. 1): C_m = pi D / (n C_e)."""
+        """Distance of a rim of `wheel_radius` per count [m] (eq. 1): C_m = pi D / (n C_e)."""
         return (
             2.0 * math.pi * self.wheel_radius
             / (self.gear_ratio * self.encoder_counts_per_revolution)
         )  # fmt: skip
+
+    def rolled(
+        self, left_counts: FloatArray | float, right_counts: FloatArray | float
+    ) -> tuple[FloatArray | float, FloatArray | float]:
+        """Return the distances of the rims of the left and the right wheel [m]."""
+        return (
+            self.meters_per_count * self.left_multiplier * left_counts,
+            self.meters_per_count * self.right_multiplier * right_counts,
+        )
 
 
 def control_from_counts(
@@ -58,6 +67,5 @@ def control_from_counts(
         `(2, ...)`: [dS, dtheta], distance of the axle's center [m] and rotation, counter-clockwise
         [rad].
     """
-    left = geometry.meters_per_count * geometry.left_multiplier * left_counts
-    right = geometry.meters_per_count * geometry.right_multiplier * right_counts
+    left, right = geometry.rolled(left_counts, right_counts)
     return np.array([0.5 * (left + right), (right - left) / geometry.wheel_separation])

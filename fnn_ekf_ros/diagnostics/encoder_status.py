@@ -23,7 +23,7 @@ class EncoderStatus:
     """
 
     def __init__(self, parameters: LocalizerParameters) -> None:
-        self._meters_per_count = wheel_geometry(parameters).meters_per_count
+        self._geometry = wheel_geometry(parameters)
         self._period_scale = parameters.period / NOMINAL_PERIOD_S
         self._began_ns: int | None = None
         self._first_ns: dict[Wheel, int] = {}
@@ -49,7 +49,7 @@ class EncoderStatus:
             )
             self._new_jump = fill(kind, wheel=_name(wheel))
             self._last_jump = (
-                ("last jump [m]", f"{change.jump * self._meters_per_count:.3f}"),
+                ("last jump [m]", f"{change.jump * self._geometry.meters_per_count:.3f}"),
                 ("silence before the last jump [s]", f"{change.silent_ns * 1e-9:.1f}"),
             )
 
@@ -81,12 +81,11 @@ class EncoderStatus:
         if estimate.result is not None and estimate.result.relocated:
             self._stuck.forget()
         state = estimate.state
+        left, right = self._geometry.rolled(counts.left, counts.right)
         self._stuck.observe(
             WheelObservation(
                 stamp_ns=end_ns,
-                wheels=WheelDistances(
-                    counts.left * self._meters_per_count, counts.right * self._meters_per_count
-                ),
+                wheels=WheelDistances(float(left), float(right)),
                 yaw=float(state.mean[2]),
                 yaw_variance=float(state.covariance[2, 2]),
                 rotation_variance=float(state.process_noise[1]) * self._period_scale,
