@@ -73,6 +73,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+class Diagnosis(NamedTuple):
+    """What was found out about a bag.
+
+    Attributes:
+        duration_s: of the recording [s].
+        facts: of its topics.
+        findings: what is wrong, the surest first.
+        estimates: every number that could be estimated.
+        obstacle: why `replay` would not work; empty if it would.
+    """
+
+    duration_s: float
+    facts: tuple[TopicFacts, ...]
+    findings: tuple[Finding, ...]
+    estimates: tuple[Change, ...]
+    obstacle: str
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     given = given_parameters(arguments, NODE_NAME)
@@ -82,8 +100,31 @@ def run(arguments: argparse.Namespace) -> int:
         if path is not None:
             check_result_file(option, path, taken)
             taken.append(path)
+    _, facts, findings, estimates, obstacle = found = diagnose(arguments.bag, given, names)
+    print(as_text(arguments.bag, found.duration_s, facts, findings, obstacle))
+    if arguments.json is not None:
+        write_json(arguments.json, as_json(facts, findings, estimates, obstacle))
+    if arguments.write_params is not None:
+        text = corrected_file(arguments.bag.name, given, findings)
+        write_text(arguments.write_params, text)
+        print(f"{arguments.write_params}: parameters with these corrections")
+    return 1 if obstacle else 0
+
+
+def diagnose(path: Path, given: Mapping[str, Any], names: TopicNames) -> Diagnosis:
+    """Return what is in a bag and what is wrong.
+
+    Args:
+        path: of the bag.
+        given: parameters as the user gave them.
+        names: the localizer's topics, remapped.
+
+    Raises:
+        BagError: the bag cannot be read.
+        ParameterError: a parameter is wrong in another way than missing or of another unit.
+    """
     configured = configured_values(given)
-    with BagReader(arguments.bag) as bag:
+    with BagReader(path) as bag:
         plan = plan_inputs(bag, configured.values, names)
         collector = FactsCollector(bag)
         values = {**configured.values, "encoder_source": plan.source}
@@ -95,29 +136,21 @@ def run(arguments: argparse.Namespace) -> int:
         clocks, skews = clock_findings(plan, facts, values)
         examined = examine(readings.drive(skews), values)
         findings = in_order([
-            *plan.findings, *configured.findings, *readings.joint_findings(), *clocks,
+            *plan.findings,
+            *configured.findings,
+            *readings.joint_findings(),
+            *clocks,
             *_edge_findings(plan, facts, values, readings),
-            *_without_doubles(configured, examined.findings, clocks), *_unset(configured, examined),
+            *_without_doubles(configured, examined.findings, clocks),
+            *_unset(configured, values, examined),
         ])  # fmt: skip
-        obstacle = _obstacle(bag, given, names, findings)
-    print(as_text(arguments.bag, bag.duration_s, tuple(facts.values()), findings, obstacle))
-    if arguments.json is not None:
-        write_json(
-            arguments.json,
-            as_json(tuple(facts.values()), findings, examined.estimates, obstacle),
+        return Diagnosis(
+            duration_s=bag.duration_s,
+            facts=tuple(facts.values()),
+            findings=findings,
+            estimates=examined.estimates,
+            obstacle=_obstacle(bag, given, names, findings),
         )
-    if arguments.write_params is not None:
-        corrected = corrected_values(given, findings)
-        head = f"Localizer parameters after `doctor {arguments.bag.name}`."
-        remaps = sorted({remap for each in findings for remap in each.remaps})
-        if remaps:
-            head += "\nRun with " + " ".join(f"-r {remap}" for remap in remaps)
-        write_text(
-            arguments.write_params,
-            render_parameter_file(LocalizerParameters, asdict(corrected), NODE_NAME, head),
-        )
-        print(f"{arguments.write_params}: parameters with these corrections")
-    return 1 if obstacle else 0
 
 
 def configured_values(given: Mapping[str, Any]) -> Configured:
@@ -168,19 +201,35 @@ def corrected_values(given: Mapping[str, Any], findings: Sequence[Finding]) -> L
     return build(LocalizerParameters, values)
 
 
+def corrected_file(bag: str, given: Mapping[str, Any], findings: Sequence[Finding]) -> str:
+    """Return a parameter file with what is certain or likely put right.
+
+    Raises:
+        ParameterError: the parameters still cannot be used.
+    """
+    head = f"Localizer parameters after `doctor {bag}`."
+    remaps = sorted({remap for each in findings for remap in each.remaps})
+    if remaps:
+        head += "\nRun with " + " ".join(f"-r {remap}" for remap in remaps)
+    corrected = asdict(corrected_values(given, findings))
+    return render_parameter_file(LocalizerParameters, corrected, NODE_NAME, head)
+
+
 def _out_of_range(name: str, value: float, limits: str) -> Finding:
     return Finding(
         "not_set", f"{name} is {value:g}", f"expected meters, {limits}", Certainty.CERTAIN
     )
 
 
-def _unset(configured: Configured, examined: Examined) -> list[Finding]:
+def _unset(configured: Configured, values: Mapping[str, Any], examined: Examined) -> list[Finding]:
     """Return the parameters that must be set, with what the drive says they are."""
     estimates = {change.parameter: change for change in examined.estimates}
     radius = estimates.get("wheel_radius")
     counts = "encoder_counts_per_revolution"
     found = []
     for name in configured.unset:
+        if name == counts and values["encoder_source"] != "ticks":
+            continue  # positions are in radians
         change = estimates.get(name)
         evidence = "the value that fits this drive" if radius else "measure it"
         if name == counts and "wheel_radius" in configured.unset:

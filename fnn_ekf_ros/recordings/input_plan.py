@@ -47,11 +47,10 @@ def plan_inputs(bag: BagReader, configured: Mapping[str, Any], names: TopicNames
     findings: list[Finding] = []
     source = str(configured["encoder_source"])
     wheels = _wheel_topics(source)
-    if not any(_is_there(bag, names, topic) for topic in wheels):
-        other = "ticks" if source == "joint_states" else "joint_states"
-        if all(_is_there(bag, names, topic) for topic in _wheel_topics(other)):
-            findings.append(_other_source(source, other))
-            source, wheels = other, _wheel_topics(other)
+    other = "ticks" if source == "joint_states" else "joint_states"
+    if not _can_be_read(bag, names, wheels) and _can_be_read(bag, names, _wheel_topics(other)):
+        findings.append(_other_source(source, other))
+        source, wheels = other, _wheel_topics(other)
     for topic in (*wheels, messages.LRF_POSE, messages.COMPASS):
         name = names.of(topic)
         recorded = bag.topics.get(name)
@@ -76,9 +75,14 @@ def _wheel_topics(source: str) -> tuple[str, ...]:
     return (messages.LEFT_TICKS, messages.RIGHT_TICKS)
 
 
-def _is_there(bag: BagReader, names: TopicNames, topic: str) -> bool:
-    recorded = bag.topics.get(names.of(topic))
-    return recorded is not None and recorded.type_name == messages.INPUT_TYPES[topic]
+def _can_be_read(bag: BagReader, names: TopicNames, topics: tuple[str, ...]) -> bool:
+    """Return whether topics are there, by their own names or by others."""
+    for topic in topics:
+        recorded = bag.topics.get(names.of(topic))
+        own = recorded is not None and recorded.type_name == messages.INPUT_TYPES[topic]
+        if not own and not _candidates(bag, topic, set()):
+            return False
+    return True
 
 
 def _candidates(bag: BagReader, topic: str, taken: set[str]) -> list[str]:

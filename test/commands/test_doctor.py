@@ -105,6 +105,26 @@ def test_joints_of_other_names_are_found(tmp_path: Path) -> None:
     assert names(report(tmp_path / "bag", *GEOMETRY, *words)) == []
 
 
+def test_joint_states_of_another_name_are_found_where_there_are_no_ticks(tmp_path: Path) -> None:
+    joints = ("left_wheel_joint", "right_wheel_joint")
+    others = {"joint_states": "robot/joint_states"}
+    write_bag(tmp_path / "bag", drive(1, 40.0), others, joints=joints)
+    content = report(tmp_path / "bag", "-p", f"wheel_separation:={SEPARATION}")
+    remaps = [remap for each in content["findings"] for remap in each["remaps"]]
+    assert remaps == ["joint_states:=/robot/joint_states"]
+    changes = {c["parameter"]: c["value"] for each in content["findings"] for c in each["changes"]}
+    assert changes["encoder_source"] == "joint_states"
+    assert changes["wheel_radius"] == pytest.approx(RADIUS, rel=0.03)
+    assert "encoder_counts_per_revolution" not in changes
+
+
+def test_a_bag_without_wheels_cannot_be_replayed(tmp_path: Path, capsys: Any) -> None:
+    write_bag(tmp_path / "bag", drive(1, 20.0), {"left_ticks": "", "right_ticks": ""})
+    content = report(tmp_path / "bag", *GEOMETRY)
+    assert names(content).count("missing_topic") == 2
+    assert "replay would not work" in capsys.readouterr().out
+
+
 def test_another_frame_of_the_fixes_is_found(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", drive(1, 40.0), frame="world")
     content = report(tmp_path / "bag", *GEOMETRY)
