@@ -82,7 +82,7 @@ KINDS = {
     "joint_names": "joint_states has no joint of the configured name.",
     "frame": "Fixes come in another frame than frame_id, and are refused.",
     "no_yaw": "Nothing gives a yaw, so the filter cannot start.",
-    "clock_skew": "A sensor's stamps are ahead of the bag's clock, or far behind it.",
+    "clock_skew": "A sensor's stamps are ahead of the bag's clock, far behind it, or drift.",
     "late_messages": "Messages arrive so late that the localizer drops them.",
     "standing": "The robot stood still, so nothing can be said of wheels and sensors.",
     "never_turning": "The robot never turned, so separation and sides cannot be told.",

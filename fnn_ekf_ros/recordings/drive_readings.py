@@ -24,6 +24,8 @@ AHEAD_S = 0.05
 """How far stamps may be ahead of the bag's clock [s]: synchronized clocks differ by less."""
 _DELAYS = {messages.COMPASS: "compass_delay", messages.LRF_POSE: "lrf_pose_delay"}
 """Parameter that is subtracted from the stamps of a topic."""
+DRIFTED_S = 0.1
+"""How far a sensor's clock may go away from the bag's in a recording [s]: as far as a delay may."""
 LONGEST_AGE_S = 5.0
 """How old stamps may be: no sensor computes for so long [s]."""
 
@@ -158,6 +160,8 @@ def clock_findings(
         if ahead > AHEAD_S or ahead < -LONGEST_AGE_S:
             skews[topic] = ahead
             findings.append(_skew(topic, fact, ahead, ahead + delay_s))
+        elif _drifted_s(fact) > DRIFTED_S:
+            findings.append(_drift(fact))
         elif delay_s - ahead + 0.5 * fact.latency_spread_s > float(configured["history"]):
             findings.append(_late(fact, float(configured["history"])))
     return findings, skews
@@ -177,6 +181,24 @@ def _skew(topic: str, fact: TopicFacts, ahead: float, delay_s: float) -> Finding
         f"{fact.drift_ppm:.0f} ppm; synchronize the computers (chrony) rather than set a delay",
         Certainty.CERTAIN,
         changes,
+    )
+
+
+def _drifted_s(fact: TopicFacts) -> float:
+    """Return by how much a sensor's clock went away from the bag's [s]; 0 if it only scatters."""
+    if math.isnan(fact.drift_ppm) or fact.rate_hz == 0.0:
+        return 0.0
+    drifted = abs(fact.drift_ppm) * 1e-6 * fact.messages / fact.rate_hz
+    return drifted if drifted > 0.5 * fact.latency_spread_s else 0.0
+
+
+def _drift(fact: TopicFacts) -> Finding:
+    return Finding(
+        "clock_skew",
+        f"the clock of {fact.name} is {'slow' if fact.drift_ppm > 0.0 else 'fast'} by "
+        f"{abs(fact.drift_ppm):.0f} ppm against the bag's",
+        f"{_drifted_s(fact):.2g} s in this recording; synchronize the computers (chrony)",
+        Certainty.CERTAIN,
     )
 
 

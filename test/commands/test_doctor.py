@@ -146,6 +146,15 @@ def test_stamps_ahead_of_the_bag_are_found(tmp_path: Path, topic: str, parameter
     assert names(report(tmp_path / "bag", "--params", fixed)) == []
 
 
+@pytest.mark.parametrize(("part", "word"), [(0.004, "slow"), (0.0, "")])
+def test_a_clock_that_drifts_is_found(tmp_path: Path, part: float, word: str) -> None:
+    write_bag(tmp_path / "bag", drive(1, 40.0), drifts={"compass": part})
+    content = report(tmp_path / "bag", *GEOMETRY)
+    found = [each for each in content["findings"] if each["name"] == "clock_skew"]
+    assert len(found) == (1 if word else 0)
+    assert all(f"is {word} by 4000 ppm" in each["sentence"] for each in found)
+
+
 def test_a_bag_without_any_yaw_gets_lrf_use_yaw(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", drive(1, 40.0), {"compass": ""})
     content = report(tmp_path / "bag", *GEOMETRY)

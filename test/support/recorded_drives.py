@@ -22,6 +22,7 @@ def write_bag(
     drive: Drive,
     names: Mapping[str, str] = {},
     stamp_errors_s: Mapping[str, float] = {},
+    drifts: Mapping[str, float] = {},
     joints: tuple[str, str] | None = None,
     frame: str = "map",
 ) -> None:
@@ -32,6 +33,7 @@ def write_bag(
         drive: what it holds.
         names: other names of topics; an empty one leaves a topic out.
         stamp_errors_s: by how much a topic's stamps are ahead of the time of recording [s].
+        drifts: by which part of the time a topic's stamps go on too slowly.
         joints: names of the wheels in joint_states, which is written instead of ticks.
         frame: of the fixes.
     """
@@ -54,7 +56,8 @@ def write_bag(
             message = Message(messages.JOINT_STATES_TYPE, fields)
             found.append((_ns(time), messages.JOINT_STATES, message))
     for time, yaw in drive.compass:
-        stamp_ns = _ns(time + stamp_errors_s.get(messages.COMPASS, 0.0))
+        slow = drifts.get(messages.COMPASS, 0.0) * time
+        stamp_ns = _ns(time + stamp_errors_s.get(messages.COMPASS, 0.0) - slow)
         message = messages.compass_message(stamp_ns, "base_link", yaw, 0.05)
         found.append((_ns(time), messages.COMPASS, message))
     for time, *pose in drive.fixes:
