@@ -48,6 +48,9 @@ ERROR_TIME_S = {SHORT_OUTAGES: 5.0, LONG_OUTAGES: 50.0}
 long, 13 % of an error is left."""
 LONG_WINDOWS = 30
 """Fewest windows of long outages by which a model is fitted: with fewer, chance decides."""
+LARGEST_DISTANCE_NOISE = 2.0
+"""Largest noise of the wheels' distance, over the distance that they usually drive in a nominal
+period: what is larger is no noise of theirs, but an error of the fixes that the model lacks."""
 ALLOWED_LOSS = 3.0
 """Largest loss of log likelihood of outages by the full fit [nats]; where the model is right it is
 0.3 to 1.8."""
@@ -138,7 +141,8 @@ class _Search:
     def limits(self, weights: Weights) -> Limits:
         """Return the smallest and the largest coordinates of a search."""
         low, high = bounds(self._which)
-        largest = {Quantity.DISTANCE: max(map(_usual_distance, self._recordings))}
+        usual = max(map(_usual_distance, self._recordings))
+        largest = {Quantity.DISTANCE: LARGEST_DISTANCE_NOISE * usual}
         if weights in ERROR_TIME_S:
             largest[Quantity.FIX_TIME] = ERROR_TIME_S[weights]
         for place, quantity in enumerate(self._which):
@@ -217,11 +221,7 @@ def fit(
 
 
 def _usual_distance(recording: TuningRecording) -> float:
-    """Return the distance of a nominal period while the robot moves, at least a millimeter [m].
-
-    It is the largest noise of the wheels' distance: what is as large as all they drive is no noise
-    of theirs, but an error of the fixes that the model does not have.
-    """
+    """Return the distance of a nominal period while the robot moves, at least a millimeter [m]."""
     distance, duration_s = np.abs(recording.control[0]), recording.duration_s
     moves = distance > STANDSTILL[0] * duration_s
     if not moves.any():

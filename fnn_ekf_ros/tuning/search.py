@@ -16,6 +16,12 @@ ENOUGH = 0.02
 """Predicted gain of a step below which the search ends [nats]: a fiftieth of what could be told."""
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
 """Range of the damping, in parts of the information's diagonal; beyond it nothing is gained."""
+_DAMPED = 0.1
+"""Damping from which on a small gain does not mean that the optimum is near."""
+_LEAST_GAIN = 1e-3
+"""Predicted gain of a damped step that is not worth a pass [nats]."""
+_ROUNDING = 1e-9
+"""Difference of coordinates that is none."""
 _LARGEST_STEP = 1.0
 """Largest step of a coordinate: a factor of e in a standard deviation."""
 
@@ -75,19 +81,16 @@ def maximize(
     damping, passes = _LEAST_DAMPING, 1
     while passes < MOST_PASSES and damping < _MOST_DAMPING:
         moved, gain = _step(u, here, damping, limits)
-        if 0.0 <= gain < ENOUGH:
-            return Optimum(u, here, converged=True)
-        if gain < 0.0:  # a bound has turned the step away from where it led
-            damping = max(10.0 * damping, 0.1)
-            continue
+        if gain < (ENOUGH if damping < _DAMPED else _LEAST_GAIN):
+            return Optimum(u, here, converged=damping < _DAMPED)
         there = at(moved)
         passes += 1
         actual = there.value - here.value
         if not actual > 0.0:
-            damping = max(10.0 * damping, 0.1)
+            damping = max(10.0 * damping, _DAMPED)
             continue
         u, here = moved, there
-        if actual < ENOUGH and damping < 0.1:
+        if actual < ENOUGH and damping < _DAMPED:
             return Optimum(u, here, converged=True)
         if gives_up is not None and gives_up(u):
             break
@@ -106,18 +109,21 @@ def _step(
     Coordinates at a bound that the gradient points out of stay there.
     """
     low, high = limits
+    least, most = np.maximum(low, u - _LARGEST_STEP), np.minimum(high, u + _LARGEST_STEP)
     _, gradient, information = here
+    change = np.zeros_like(u)
     stays = ((u <= low) & (gradient < 0.0)) | ((u >= high) & (gradient > 0.0))
-    free = np.flatnonzero(~stays)
-    if not len(free):
-        return u, 0.0
-    scale = np.sqrt(np.maximum(np.diag(information)[free], 1e-9))
-    curved = information[np.ix_(free, free)] / np.outer(scale, scale)
-    curved += damping * np.eye(len(free))
-    step = np.linalg.lstsq(curved, gradient[free] / scale, rcond=1e-8)[0] / scale
-    step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-    moved = u.copy()
-    moved[free] = np.clip(u[free] + step, low[free], high[free])
-    change = moved - u
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-9))
+    curved = information + damping * np.diag(scale**2)
+    while not stays.all():  # each round takes at least one coordinate to where it has to stop
+        free, held = np.flatnonzero(~stays), np.flatnonzero(stays)
+        left = gradient[free] - curved[np.ix_(free, held)] @ change[held]
+        normalized = curved[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+        step = np.linalg.lstsq(normalized, left / scale[free], rcond=1e-8)[0] / scale[free]
+        change[free] = np.clip(u[free] + step, least[free], most[free]) - u[free]
+        beyond = np.abs(change[free] - step) > _ROUNDING
+        if not beyond.any():
+            break
+        stays[free[beyond]] = True
     gain = float(gradient @ change - 0.5 * change @ information @ change)
-    return moved, gain
+    return u + change, gain
