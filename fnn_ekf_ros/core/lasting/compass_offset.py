@@ -61,14 +61,16 @@ TURNED_AFTER_S = 2.0
 """Time that it takes at least [s]: a magnet that the robot passes does not turn the compass."""
 KNOWN_STD = 0.3
 """Standard deviation of the offset below which it is known again after a surprise [rad]."""
-SWAPPED_AT = 4.0
+SWAPPED_AT = 8.0
 """Log likelihood ratio of the fixes for the antipode against the witness from which on they change
-places [nats]: odds of 55 (sequential test, Wald 1945)."""
+places [nats]: odds of 55 (sequential test, Wald 1945) for a compass that is off by about pi, which
+is as rare as that."""
 KEPT_AT = -2.0
 """Ratio from which on the witness is kept for good [nats]: odds of 7, and an offset of about pi is
 rare anyway."""
-LARGEST_GAIN = 1.0
-"""Largest contribution of a fix to it [nats]: no few fixes decide alone."""
+LARGEST_GAIN = 0.5
+"""Largest contribution of a fix to it [nats]: errors that last are in several fixes, so that no few
+decide alone."""
 FITTING_NIS = 5.99
 """NIS of x and y up to which a fix fits a filter: right noise exceeds it in 5 %. A fix that fits
 neither witness nor antipode does not tell which is right."""
