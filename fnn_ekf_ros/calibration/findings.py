@@ -7,8 +7,9 @@ import math
 from enum import StrEnum
 from typing import NamedTuple
 
-LEVEL = 1.96
-"""Half width of a 95 % interval [standard errors]."""
+LEVEL = 2.23
+"""Half width of a 95 % interval [standard errors]: that of Student's t with 10 degrees of freedom,
+as standard errors rest on some ten blocks of time."""
 CERTAIN_ODDS = 9.0
 """Log odds against the best other explanation from which on a finding is certain [nats]."""
 LIKELY_ODDS = 5.0
