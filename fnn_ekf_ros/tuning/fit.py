@@ -51,9 +51,9 @@ LONG_WINDOWS = 30
 LARGEST_DISTANCE_NOISE = 2.0
 """Largest noise of the wheels' distance, over the distance that they usually drive in a nominal
 period: what is larger is no noise of theirs, but an error of the fixes that the model lacks."""
-ALLOWED_LOSS = 3.0
-"""Largest loss of log likelihood of outages by the full fit [nats]; where the model is right it is
-0.3 to 1.8."""
+ALLOWED_LOSS = 0.75
+"""Largest loss of log likelihood of outages by the full fit, per quantity that is fitted [nats];
+where the model is right, four quantities lose 0.3 to 1.8."""
 GIVEN_UP = 3.0
 """Multiple of `ALLOWED_LOSS` from which on a full fit is not finished."""
 LASTING_GAIN = 3.0
@@ -200,12 +200,13 @@ def fit(
         cautious = search.best(weights, coordinates(best, which))
     outages = np.array([0.0, 0.0, *weights.outages])
     most = float(outages @ cautious.slopes.value)
+    allowed = ALLOWED_LOSS * len(which)
     full = search.best(
         FULL, cautious.coordinate,
-        lambda there: most - float(outages @ there.value) > GIVEN_UP * ALLOWED_LOSS,
+        lambda there: most - float(outages @ there.value) > GIVEN_UP * allowed,
     )  # fmt: skip
     loss = most - float(outages @ full.slopes.value)
-    counts_in_full = full.converged and loss <= ALLOWED_LOSS
+    counts_in_full = full.converged and loss <= allowed
     optimum, counts = (full, FULL) if counts_in_full else (cautious, weights)
     return Fit(
         which=which,
