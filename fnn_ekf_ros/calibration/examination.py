@@ -32,6 +32,16 @@ LEAST_ROTATION = 0.5
 """Range of directions below which the robot never turned [rad]."""
 NEED_TURNS = ("wheel_separation", "wheel_ratio", "wheels_swapped", "compass_clockwise")
 """Findings that only a robot that turns can give."""
+SETTLED_S = 45.0
+"""Length of a drive from which on small differences count [s]: their errors come from blocks of
+15 s (`drift_regression`), and fewer than three of these tell nothing about errors."""
+GROSS = {
+    "meters_per_count": 1.5, "wheel_separation": 1.5, "wheel_ratio": 1.5,
+    "compass_offset": 0.5, "fix_yaw_offset": 0.5, "compass_delay": 1.0, "fix_delay": 1.0,
+}  # fmt: skip
+"""Differences that count in a shorter drive: a factor of sizes, an angle [rad], a delay [s]."""
+SIZES = ("meters_per_count", "wheel_separation", "wheel_ratio")
+"""Those of them that are factors."""
 ESTIMATED = {
     Number.SCALE: "wheel_radius",
     Number.RATIO: "right_over_left",
@@ -135,10 +145,26 @@ def _compared(
     sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
     rotation = max((turned(readings.travel, each.fit) for each in sources), default=math.inf)
     found = geometry_findings(context)
+    if readings.travel.times[-1] - readings.travel.times[0] < SETTLED_S:
+        found = [_as_of_a_short_drive(finding, configured) for finding in found]
     if rotation < LEAST_ROTATION:
         found = [finding for finding in found if finding.name not in NEED_TURNS]
         found.append(_straight(rotation))
     return Examined(in_order([*findings, *found]), evidence, explanation, _estimates(context))
+
+
+def _as_of_a_short_drive(finding: Finding, configured: Mapping[str, Any]) -> Finding:
+    """Return a finding; one of a small difference is only possible."""
+    if finding.name not in GROSS:
+        return finding
+    for change in finding.changes:
+        value, now = float(change.value), float(configured[change.parameter])
+        apart = abs(value - now)
+        if finding.name in SIZES:
+            apart = max(value / now, now / value)
+        if apart >= GROSS[finding.name]:
+            return finding
+    return finding._replace(certainty=Certainty.POSSIBLE)
 
 
 def meters_per_count(configured: Mapping[str, Any]) -> float:

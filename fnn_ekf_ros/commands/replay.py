@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.calibration.findings import Certainty
 from fnn_ekf_ros.commands.arguments import (
     add_parameter_arguments,
     add_remapping_argument,
@@ -34,6 +35,7 @@ from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record, Topic
 from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter
+from fnn_ekf_ros.recordings.diagnosis import BagExamination
 from fnn_ekf_ros.recordings.inputs import (
     TopicNames,
     inputs_in,
@@ -41,9 +43,14 @@ from fnn_ekf_ros.recordings.inputs import (
     take,
 )
 from fnn_ekf_ros.recordings.transforms import ReplayedTransforms
+from fnn_ekf_ros.reports.doctor_report import finding_line, plain_findings
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.reports.result_folder import check_result_file
 from fnn_ekf_ros.stopping import UNHEALTHY
+
+EXAMINED_NS = 600 * 10**9
+"""How much of a recording is examined as by `doctor` [ns]: readings are kept for it, and ten
+minutes tell what is wrong."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true",
         help=f"exit with code {UNHEALTHY} if the run was not healthy: a status of /diagnostics was "
         f"above OK for more than {100.0 * UNHEALTHY_SHARE:g} %% of the time or at the end, the "
-        "filter was too sure of a sensor, or wheels or noise were far from what is configured",
+        "filter was too sure of a sensor, wheels or noise were far from what is configured, or "
+        "something is wrong with robot, wiring or configuration as in doctor",
     )  # fmt: skip
     parser.add_argument(
         "--save-params", metavar="FILE", type=Path,
@@ -81,26 +89,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    parameters = build(LocalizerParameters, given_parameters(arguments, NODE_NAME))
+    given = given_parameters(arguments, NODE_NAME)
+    parameters = build(LocalizerParameters, given)
     if arguments.tf:
         parameters = replace(parameters, publish_tf=True)
     _check_result_files(arguments)
     names = TopicNames(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
-        summary = _replay(arguments, parameters, bag, names)
+        examination = BagExamination(bag, given, names)
+        summary = _replay(arguments, parameters, bag, names, examination)
+        findings = [
+            each
+            for each in examination.diagnosis().findings
+            if each.certainty is not Certainty.POSSIBLE
+        ]
         duration, begin_ns = bag.duration_s, bag.start_ns
     took = time.monotonic() - began
     print(
         f"{arguments.out}: {summary.estimates} odom from {duration:.1f} s of recording in "
         f"{took:.1f} s ({duration / took:.0f} times real time)"
     )
-    print("\n".join(health_lines(summary, begin_ns)))
+    healthy = summary.healthy and not findings
+    lines = health_lines(summary, begin_ns, cause_known=bool(findings))
+    print("\n".join([*lines, *(finding_line(finding) for finding in findings)]))
     if arguments.json is not None:
-        write_json(arguments.json, plain_summary(summary), indent=2)
+        plain = {**plain_summary(summary), "healthy": healthy}
+        write_json(arguments.json, {**plain, "findings": plain_findings(findings)}, indent=2)
     if arguments.save_params is not None:
         write_text(arguments.save_params, _found(summary, arguments.bag.name))
-    return UNHEALTHY if arguments.strict and not summary.healthy else 0
+    return UNHEALTHY if arguments.strict and not healthy else 0
 
 
 def _check_result_files(arguments: argparse.Namespace) -> None:
@@ -117,8 +135,9 @@ def _replay(
     parameters: LocalizerParameters,
     bag: BagReader,
     names: TopicNames,
+    examination: BagExamination,
 ) -> HealthSummary:
-    """Write OUT; return how healthy the run was.
+    """Write OUT; return how healthy the run was. What is examined is the begin of the recording.
 
     Raises:
         BagError: a recording cannot be read or written, or does not start the filter.
@@ -138,6 +157,8 @@ def _replay(
         tf = names.of(messages.TF)
         transforms = ReplayedTransforms(bag, out, parameters, tf) if arguments.tf else None
         for record in with_progress(bag.records(), bag.message_count, "replay"):
+            if record.time_ns - bag.start_ns < EXAMINED_NS:
+                examination.add(record)
             if transforms is not None and record.topic == transforms.topic:
                 transforms.take(record)
             elif record.topic in copied and not _is_own_diagnostics(bag, record):

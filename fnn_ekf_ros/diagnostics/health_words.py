@@ -46,12 +46,13 @@ _FIX_NOISES = tuple(name for name in MEASUREMENT_NOISES if name.startswith("fixe
 _YAW_NOISES = tuple(name for name in MEASUREMENT_NOISES if name not in _FIX_NOISES)
 
 
-def health_lines(summary: HealthSummary, begin_ns: int) -> list[str]:
+def health_lines(summary: HealthSummary, begin_ns: int, *, cause_known: bool = False) -> list[str]:
     """Return the summary in words: three lines if all is well, a dozen if nothing is.
 
     Args:
         summary: of a run.
         begin_ns: of the run [ns].
+        cause_known: whether something else says what is wrong, better than what to check.
     """
     lines = [_headline(summary)]
     late_s = (summary.started_ns - begin_ns) * 1e-9
@@ -73,7 +74,7 @@ def health_lines(summary: HealthSummary, begin_ns: int) -> list[str]:
             f"pose moved to the fixes: {_times(summary.moves)}, last by {last.distance:.1f} m and "
             f"{last.rotation:.2f} rad at {(last.stamp_ns - begin_ns) * 1e-9:.0f} s"
         )
-    return [*lines, *(f"check {text}" for text in checks(summary))]
+    return lines if cause_known else [*lines, *(f"check {text}" for text in checks(summary))]
 
 
 def checks(summary: HealthSummary) -> list[str]:

@@ -36,8 +36,7 @@ def as_text(
         lines.append(
             "Nothing is wrong with robot, wiring or configuration as far as this bag shows."
         )
-    for finding in findings:
-        lines += _finding(finding)
+    lines += [finding_line(finding) for finding in findings]
     lines += ["", f"replay would not work: {obstacle}" if obstacle else "replay would work."]
     return "\n".join(lines)
 
@@ -51,21 +50,26 @@ def as_json(
     """Return the report as JSON can hold it; null where a number is not known."""
     return {
         "topics": [_plain(fact._asdict()) for fact in facts],
-        "findings": [
-            {
-                "name": finding.name,
-                "sentence": finding.sentence,
-                "evidence": finding.evidence,
-                "certainty": str(finding.certainty),
-                "changes": [_plain(change._asdict()) for change in finding.changes],
-                "remaps": list(finding.remaps),
-            }
-            for finding in findings
-        ],
+        "findings": plain_findings(findings),
         "estimates": [_plain(change._asdict()) for change in estimates],
         "replay_works": not obstacle,
         "obstacle": obstacle,
     }
+
+
+def plain_findings(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Return findings as JSON can hold them."""
+    return [
+        {
+            "name": finding.name,
+            "sentence": finding.sentence,
+            "evidence": finding.evidence,
+            "certainty": str(finding.certainty),
+            "changes": [_plain(change._asdict()) for change in finding.changes],
+            "remaps": list(finding.remaps),
+        }
+        for finding in findings
+    ]
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
@@ -90,8 +94,9 @@ def _row(fact: TopicFacts) -> str:
     ).rstrip()  # fmt: skip
 
 
-def _finding(finding: Finding) -> list[str]:
+def finding_line(finding: Finding) -> str:
+    """Return a finding as a line: how sure, what, the evidence, what puts it right."""
     remaps = [f"-r {remap}" for remap in finding.remaps]
     remedy = ", ".join([*(change.words() for change in finding.changes), *remaps])
     line = f"{finding.certainty}: {finding.sentence} ({finding.evidence})"
-    return [f"{line}; {remedy}" if remedy else line]
+    return f"{line}; {remedy}" if remedy else line

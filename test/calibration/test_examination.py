@@ -234,3 +234,12 @@ def test_a_narrower_counter_is_found(bits: int) -> None:
     (finding,) = serious(examine(spoiled, parameters()))
     assert (finding.name, finding.changes[0].value) == ("encoder_bits", bits)
     assert serious(examine(spoiled, parameters(encoder_bits=bits))) == []
+
+
+def test_a_short_drive_tells_gross_mistakes_only() -> None:
+    whole = drive(SEEDS[0])
+    short = Drive(*(each[each[:, 0] < whole.left[0, 0] + 30.0] for each in whole))
+    unequal = MISTAKES["ratio"].spoil(short)
+    assert serious(examine(unequal, parameters())) == []
+    (found,) = serious(examine(MISTAKES["counts x4"].spoil(short), parameters()))
+    assert found.name == "meters_per_count"

@@ -44,7 +44,8 @@ def test_a_wrong_configuration_fails_strictly_and_is_said(
     assert (ran.code, ran.err) == (UNHEALTHY, "")
     _, health, *rest = ran.out.splitlines()
     assert health.startswith("health: not good")
-    assert rest[-1].startswith("check left_inverted, right_inverted, ")
+    assert rest[-1].startswith("certain: the left counter runs the other way ")
+    assert rest[-1].endswith("; left_inverted: false")
     assert (tmp_path / "out").is_dir(), "the work was done"
 
 

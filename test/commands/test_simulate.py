@@ -141,7 +141,7 @@ def test_simulate_with_faults_makes_the_same_bytes_twice(tmp_path: Path, succeed
         (tmp_path / name).mkdir()
         out = tmp_path / name / "bag"
         said = succeed("simulate", out, "--duration", 30, "-p", f"faults_file:={faults}")
-        assert f", faults of {faults}: 23; " in said
+        assert f", faults of {faults}: 25; " in said
         made.append(contents(out))
     assert made[0] == made[1]
     metadata = yaml.safe_load((tmp_path / "one" / "bag" / "metadata.yaml").read_text())
