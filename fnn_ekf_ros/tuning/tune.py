@@ -181,6 +181,12 @@ def found_parameters(
     if calibration:
         changed["wheel_radius"] = before.wheel_radius * float(values[Quantity.RADIUS])
         changed["wheel_separation"] = before.wheel_separation * float(values[Quantity.SEPARATION])
+        half = 0.5 * float(values[Quantity.RATIO])
+        for name, factor in (
+            ("left_wheel_radius_multiplier", 1.0 - half),
+            ("right_wheel_radius_multiplier", 1.0 + half),
+        ):
+            changed[name] = round(getattr(before, name) * factor, 5)
     for name, quantity in (
         ("lrf_pose_delay", Quantity.FIX_DELAY),
         ("compass_delay", Quantity.COMPASS_DELAY),

@@ -37,7 +37,10 @@ PARAMETER_OF = {
 }
 """Parameters of the localizer that quantities belong to; the others have none."""
 
-WRITTEN = {name.split("[")[0] for name in PARAMETER_OF.values()}
+WRITTEN = {name.split("[")[0] for name in PARAMETER_OF.values()} | {
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+}
 """Parameters of the localizer that tuning changes."""
 
 
@@ -203,8 +206,8 @@ def _of_calibration(tuned: Tuned) -> list[str]:
         if interval.quantity is Quantity.RATIO and known:
             size = "larger" if ratio > 0.0 else "smaller"
             return [
-                f"The right wheel is {100.0 * abs(ratio):.2f} % {size} than the left one; the "
-                "localizer has one wheel_radius, which is their mean."
+                f"The right wheel is {100.0 * abs(ratio):.2f} % {size} than the left one; "
+                "wheel_radius is their mean."
             ]
     return []
 
