@@ -125,7 +125,7 @@ COMMANDS = {
         "runs side by side, and which is better",
         (
             "out other --labels joint EKF --truth-bag my_bag --json compared.json",
-            "my_bag --params a.yaml b.yaml -p wheel_radius:=0.033 -r lrf_pose:=/amcl_pose",
+            "my_bag --params a.yaml b.yaml -p adaptation:=joint -r lrf_pose:=/amcl_pose",
         ),
     ),
     "train": Command(

@@ -218,5 +218,6 @@ def _joint_filter(network: FuzzyNetwork) -> FilterModel:
         adaptation="joint",
         compass_gate=0.0,  # all readings are used: there are no outliers, however wrong the start
         lrf_pose_gate=0.0,
+        lasting_errors=False,  # every reading teaches: there are no offsets either
     )
     return filter_model(robot, networks_for(robot)._replace(joint=network))

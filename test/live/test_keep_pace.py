@@ -44,6 +44,10 @@ class SlowNode(OwnNode):
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, S)
         self._odom.publish(message)
 
+    def heard(self) -> bool:
+        """Return whether somebody has subscribed to odom."""
+        return self._odom.get_subscription_count() > 0
+
     def held(self) -> bool:
         """Spin; return whether the clock stands, and goes on being told."""
         self.spin()
@@ -128,6 +132,7 @@ def test_play_ends_where_nothing_new_comes(
     node = slow_node()
     player = start_playing(processes, drive, "--patience", 5)
     patiently(lambda: node.spin() or node.compass_ns, "the first compass reading")
+    patiently(lambda: node.spin() or node.heard(), "the player's subscription")
     stamp_ns = node.clock_ns
     node.publish(stamp_ns)
     patiently(lambda: node.spin() or player.poll() is not None, "the player's end")

@@ -226,6 +226,8 @@ def entries(draw: st.DrawFn) -> dict[str, Any]:
         entry["duration"] = draw(st.floats(0.0125, 3.0))
     if name == "slip" and "std" in entry:
         entry.pop("factor", None)
+    if name == "frozen" and entry["topic"] not in ("lrf_pose", "compass"):
+        entry.pop("jitter", None)
     if name == "bias" and entry["topic"] == "compass":
         entry["size"] = (0.0, 0.0, entry["size"][2])
     return entry
@@ -270,6 +272,7 @@ def test_every_fault_has_its_group_and_its_place() -> None:
     """A fault that no module knows would do nothing: each must change what is sent."""
     needed: dict[str, Any] = {
         "topic": "lrf_pose", "wheel": "left", "move": (1.0, 0.0, 0.0), "size": 0.5,
+        "place": (1.0, 2.0), "std": 0.5, "time_constant": 10.0,
     }  # fmt: skip
     without = drive(6.0)
     assert sum(len(group) for group in GROUPS.values()) == len(FAULTS)
