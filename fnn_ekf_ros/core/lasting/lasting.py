@@ -72,7 +72,7 @@ UNKNOWN_VARIANCE = 1e4
 """Variance of a yaw offset that is not known, as good as no reading [rad^2]."""
 _CYCLES = (len(HORIZONS_S), PHASES, MEMBER_COUNT)
 _UNKNOWN_SHARE = float(weights_of(start_outages(()).log_weight) @ FIXES_LAST)
-"""Weight of the members whose fix errors last before anything is known, 0.13."""
+"""Weight of the members whose fix errors last before anything is known, 0.09."""
 _POSITION_ROWS = np.array(2.0)
 
 

@@ -112,7 +112,7 @@ FIXES_LAST: FloatArray = np.array([float(member.fix_factor > 0.0) for member in 
 """1 for the members whose fix errors last, `(M,)`."""
 LASTING_SHARE = 0.5
 """Weight of the members whose fix errors last from which on these are believed: then they are more
-likely than white errors; the prior gives them 0.13."""
+likely than white errors; the prior gives them 0.09."""
 SQUARED_FACTORS: FloatArray = np.array([member.fix_factor**2 for member in MEMBERS])
 """f^2 of the members, `(M,)`."""
 
