@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""How far the pose travels and rotates, over what the wheels count.
+"""Distance and rotation of the pose, over what the wheels count.
 
 Compass and fixes lead the pose to where the robot is even if the wheels are configured wrong, and
 adaptation takes what is left for noise. So the pose is compared with the wheels over windows of

@@ -26,7 +26,7 @@ ALIKE = 0.3
 """Largest RMSE that an explanation leaves, in multiples of the truth's spread about its mean: a
 track that is shrunk to a point, or laid across another one, leaves about the spread."""
 NEAR_BEST = 1.25
-"""How much more error than the best explanation leaves a simpler one may leave."""
+"""Factor by which a simpler explanation may leave more error than the best one."""
 SURPRISING = 2.0
 """RMSE in multiples of what the covariance claims from which errors ask for an explanation."""
 HUGE = 10.0

@@ -21,13 +21,13 @@ from fnn_ekf_ros.recordings.bag_files import BagReader, Record
 from fnn_ekf_ros.recordings.input_plan import InputPlan
 
 AHEAD_S = 0.05
-"""How far stamps may be ahead of the bag's clock [s]: synchronized clocks differ by less."""
+"""Largest time by which stamps are ahead of the bag's clock [s]: synchronized ones are closer."""
 _DELAYS = {messages.COMPASS: "compass_delay", messages.LRF_POSE: "lrf_pose_delay"}
 """Parameter that is subtracted from the stamps of a topic."""
 DRIFTED_S = 0.1
-"""How far a sensor's clock may go away from the bag's in a recording [s]: as far as a delay may."""
+"""Largest drift of a sensor's clock in a recording [s]: that of a delay that is no finding."""
 LONGEST_AGE_S = 5.0
-"""How old stamps may be: no sensor computes for so long [s]."""
+"""Largest age of stamps [s]: no sensor computes for so long."""
 
 
 class DriveCollector:
