@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.calibration.displacement import DisplacementFit, fit_displacement
-from fnn_ekf_ros.calibration.rotation import YawFit, fit_yaw, wrapped
+from fnn_ekf_ros.calibration.rotation import YawFit, fit_yaw
 from fnn_ekf_ros.calibration.travel import WheelTravel
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 
 FEWEST_READINGS = 20
@@ -148,7 +149,7 @@ def _compass_source(
     """
     times, yaw = compass.T
     if np.ptp(yaw) < NARROW_YAW and _turns(travel, reference) > 1.0:
-        fit = fit_yaw(travel, times, wrapped(DEGREES * yaw))
+        fit = fit_yaw(travel, times, wrap_angle(DEGREES * yaw))
         scaled = np.column_stack([times, DEGREES * yaw])
         if not _is_random(travel, scaled, fit.coefficients[:2]) and _agrees(fit, reference, 1.0):
             return YawSource(fit, None, 0, 1.0 / DEGREES)
@@ -206,7 +207,7 @@ def _averaged(readings: FloatArray) -> FloatArray:
     count = len(readings) // size
     grouped = readings[: count * size].reshape(count, size, 2)
     first = grouped[:, :1, 1]
-    yaw = first[:, 0] + np.mean(wrapped(grouped[:, :, 1] - first), axis=1)
+    yaw = first[:, 0] + np.mean(wrap_angle(grouped[:, :, 1] - first), axis=1)
     return np.stack([grouped[:, :, 0].mean(axis=1), yaw], axis=-1)
 
 

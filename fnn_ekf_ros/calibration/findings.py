@@ -110,6 +110,8 @@ KINDS = {
     "fix_delay": "The fixes are stamped later or earlier than they were measured.",
 }
 """What can be found, by name, in the order in which it is reported."""
+UNTOLD = ("standing", "never_turning", "too_short")
+"""Findings that say what a drive cannot tell: nothing is wrong with the robot."""
 
 
 def in_order(findings: list[Finding]) -> tuple[Finding, ...]:

@@ -25,6 +25,7 @@ from fnn_ekf_ros.calibration.drift_regression import (
     smoothed,
 )
 from fnn_ekf_ros.calibration.travel import WheelTravel
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 
 LARGEST_DELAY_S = 1.5
@@ -193,18 +194,13 @@ def _without_delay(
     return np.array([*slope, 0.0]), unknown
 
 
-def wrapped(angle: FloatArray) -> FloatArray:
-    """Return angles within -pi and pi."""
-    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
-
-
 def _by_close_readings(
     times: FloatArray, yaw: FloatArray, columns: FloatArray, breaks: BoolArray
 ) -> FloatArray:
     """Return a_s, a_d by changes between readings so close that the yaw cannot have wrapped."""
     gaps = np.diff(times)
     close = (gaps <= max(float(np.median(gaps)), 0.4)) & ~breaks[1:]
-    return _robust(wrapped(np.diff(yaw))[close], np.diff(columns, axis=0)[close])
+    return _robust(wrap_angle(np.diff(yaw))[close], np.diff(columns, axis=0)[close])
 
 
 def _long_changes(

@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.calibration.findings import Certainty
+from fnn_ekf_ros.calibration.findings import UNTOLD, Certainty
 from fnn_ekf_ros.commands.arguments import (
     add_parameter_arguments,
     add_remapping_argument,
@@ -49,8 +49,8 @@ from fnn_ekf_ros.reports.result_folder import check_result_file
 from fnn_ekf_ros.stopping import UNHEALTHY
 
 EXAMINED_NS = 600 * 10**9
-"""How much of a recording is examined as by `doctor` [ns]: readings are kept for it, and ten
-minutes tell what is wrong."""
+"""Length of the part of a recording that is examined as by `doctor` [ns]: readings are kept for
+it, and ten minutes tell what is wrong."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         findings = [
             each
             for each in examination.diagnosis().findings
-            if each.certainty is not Certainty.POSSIBLE
+            if each.certainty is not Certainty.POSSIBLE and each.name not in UNTOLD
         ]
         duration, begin_ns = bag.duration_s, bag.start_ns
     took = time.monotonic() - began

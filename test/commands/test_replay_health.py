@@ -49,6 +49,17 @@ def test_a_wrong_configuration_fails_strictly_and_is_said(
     assert (tmp_path / "out").is_dir(), "the work was done"
 
 
+def test_a_recording_that_is_too_short_to_tell_is_no_fault(
+    tmp_path: Path, succeed: Succeed
+) -> None:
+    driven, findings = tmp_path / "driven", tmp_path / "findings.json"
+    succeed("simulate", driven, "--duration", "6")
+    words = ["--params", parameters_of(driven)]
+    assert "too few readings" in succeed("doctor", driven, *words)
+    succeed("replay", driven, tmp_path / "out", *words, "--strict", "--json", findings)
+    assert json.loads(findings.read_text())["findings"] == []
+
+
 @pytest.mark.slow
 def test_saved_parameters_are_those_that_were_found_and_can_be_replayed(
     tmp_path: Path, recorded: Path, succeed: Succeed
