@@ -4,6 +4,7 @@
 """Real nodes in processes of their own, on a ROS domain of their own."""
 
 import ctypes
+import itertools
 import os
 import shutil
 import signal
@@ -34,6 +35,8 @@ PAPERS_ROBOT = [
     "-p", "wheel_radius:=0.025", "-p", "wheel_separation:=0.6",
     "-p", "encoder_counts_per_revolution:=500.0",
 ]  # fmt: skip
+TESTS = itertools.count()
+"""Numbers the tests of this process."""
 HEARS_SIGINT = ["env", "--default-signal=INT"]
 """A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
@@ -168,10 +171,13 @@ def patiently() -> Callable[..., None]:
     return wait_until
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def domain() -> int:
-    """A domain of this test run's own, in the range that is safe with every kernel."""
-    return 1 + os.getpid() % 90
+    """A domain of this test's own, in the range that is safe with every kernel.
+
+    Nodes that were killed at the end of a test stay known on their domain for seconds.
+    """
+    return 1 + (os.getpid() + next(TESTS)) % 90
 
 
 @pytest.fixture
