@@ -62,8 +62,6 @@ def pass_gate(model: FilterModel, state: FilterState, instant: Instant, nis: Flo
     if rejects or state.has_relocation_hypothesis(model):
         relocation = follow_hypothesis(model, state, instant, decision, corrected)
         teaches = available & rows_of(teaching(state.gate, decision, relocation.explains))
-    if state.lasting is not None:
-        teaches = teaches & ~state.lasting.yaw_in_doubt
     return Gated(decision=decision, corrected=corrected, teaches=teaches, relocation=relocation)
 
 

@@ -125,7 +125,13 @@ class Lesson(NamedTuple):
 
 
 def learn(
-    state: JointState, sets: FuzzySets, bounds: NoiseBounds, lesson: Lesson, *, learning: bool
+    state: JointState,
+    sets: FuzzySets,
+    bounds: NoiseBounds,
+    lesson: Lesson,
+    *,
+    learning: bool,
+    settles: BoolArray | None = None,
 ) -> Learned:
     """Learn from the filters' predictions of readings.
 
@@ -136,12 +142,15 @@ def learn(
         lesson: the readings; learned from are those that the gate accepts, and those that it
             rejects because the assumed noise is too small.
         learning: False keeps what was learned as it is.
+        settles: `(*batch)` where the settled learner learns; None: everywhere.
     """
     measured = lesson.taught.some
     smallest = _STANDSTILL.behind(measured.ndim) * lesson.since_scored
     stands = np.abs(state.control_since_scored) <= smallest
     learns = measured & ~stands.all(axis=0) & learning
     foreseen = learns & (state.forecast_count >= 2.0)
+    if settles is not None:
+        foreseen &= settles
     informed = _informed(lesson.scored.each)
     likelihood = lesson.likelihood
     evidence = star_evidence(

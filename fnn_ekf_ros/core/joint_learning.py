@@ -59,7 +59,10 @@ def learn_at(
         )
         adaptation = model.adaptation
         sets = adaptation.networks.joint.sets
-        learned = learn(joint, sets, adaptation.bounds, lesson, learning=adaptation.learning)
+        settles = None if state.lasting is None else ~state.lasting.offset.unknown
+        learned = learn(
+            joint, sets, adaptation.bounds, lesson, learning=adaptation.learning, settles=settles
+        )
         steps = steps & taught.some
         step_forecasts(of_joint, bank.filters(model.layout.newer_forecasts), steps)
         joint = stepped(learned.state, steps)

@@ -7,17 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import BoolArray, Constant, Row, select
+from fnn_ekf_ros.core.arrays import BoolArray, Constant, FloatArray, Row, select
 from fnn_ekf_ros.core.bank import Noise, Readings, noise_of_readings
 from fnn_ekf_ros.core.evidence import Scale
 from fnn_ekf_ros.core.gate import rows_of
 from fnn_ekf_ros.core.gated import Gated
 from fnn_ekf_ros.core.joint import STANDSTILL
 from fnn_ekf_ros.core.joint_filters import SETTLED
-from fnn_ekf_ros.core.joint_state import noise_with_part_of_alarms
+from fnn_ekf_ros.core.joint_state import noise_with_part_of_alarms, noise_without_alarms
 from fnn_ekf_ros.core.lasting.comparison import Comparison
 from fnn_ekf_ros.core.lasting.lasting import (
-    LastingState,
     after_instant,
     after_readings,
     compare_with_members,
@@ -54,18 +53,26 @@ def lasting_at_instant(
 
     The noise is that without lasting errors, of one filter; None where they are not followed.
     """
-    if state.lasting is None:
+    if state.lasting is None or state.joint is None:
         return state, None
-    noise = _noise_of_members(model, state, state.lasting)
+    noise = persistent = _noise_in_use(state)
+    if (state.joint.lead > 0.0).any():
+        bounds = model.adaptation.bounds
+        # Alarms count as far as errors are believed to be white, as what raises them assumes.
+        part = 1.0 - state.lasting.fixes_last
+        noise = _of_one_filter(*noise_with_part_of_alarms(state.joint, bounds, part))
+        persistent = _of_one_filter(*noise_without_alarms(state.joint, bounds))
+    elapsed = epoch.duration_s / NOMINAL_PERIOD_S
     lasting = predict_lasting(
         model.motion_model,
         state.lasting,
         epoch.control,
-        epoch.duration_s / NOMINAL_PERIOD_S * noise.process[:, 0],
+        elapsed * noise.process[:, 0],
+        elapsed * persistent.process[:, 0],
         epoch.duration_s,
     )
     readings = Readings(epoch.measurement, epoch.available)
-    return state._replace(lasting=with_compass(lasting, readings)), noise
+    return state._replace(lasting=with_compass(lasting, readings, noise)), noise
 
 
 def members_at_instant(
@@ -96,7 +103,7 @@ def as_white_filters_see(state: FilterState, epoch: Epoch, noise: Noise) -> tupl
     """
     z = epoch.measurement
     lasting = state.lasting
-    if lasting is not None and (lasting.offset.believed | lasting.offset.doubted).any():
+    if lasting is not None and (lasting.offset.believed | lasting.offset.unknown).any():
         z = without_offset(lasting, z)
         R = noise.measurement.copy()
         R[Row.COMPASS_YAW] += lasting.correcting.variance
@@ -151,13 +158,11 @@ def restarted_from_witness(
     return chosen
 
 
-def _noise_of_members(model: FilterModel, state: FilterState, lasting: LastingState) -> Noise:
-    """Return Q and R without lasting errors, of one filter.
+def _noise_in_use(state: FilterState) -> Noise:
+    """Return Q and R of the white filter, whose noise includes alarms."""
+    return Noise(state.noise.process[:, WHITE], state.noise.measurement[:, WHITE])
 
-    Alarms count as far as errors are believed to be white, as the filters they compare assume.
-    """
-    assert state.joint is not None
-    if not (state.joint.lead > 0.0).any():  # no alarm: the noise in use
-        return Noise(state.noise.process[:, WHITE], state.noise.measurement[:, WHITE])
-    Q, R = noise_with_part_of_alarms(state.joint, model.adaptation.bounds, 1.0 - lasting.fixes_last)
-    return Noise(Q[:, None], R[:, None])
+
+def _of_one_filter(process: FloatArray, measurement: FloatArray) -> Noise:
+    """Return Q `(2, *batch)` and R `(4, *batch)` as the noise of one filter."""
+    return Noise(process[:, None], measurement[:, None])

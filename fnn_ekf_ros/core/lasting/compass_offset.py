@@ -87,6 +87,7 @@ class CompassOffset(NamedTuple):
     Attributes:
         believed: `(*batch)` whether it is believed.
         likely_s: `(*batch)` time for which it has been likely [s].
+        suspected: `(*batch)` whether the last yaw makes it likely, and it is not believed yet.
         doubted: `(*batch)` whether the compass was turned and its offset is not known yet.
         surprise: `(2, *batch)` sums of normalized innovations to the left and to the right.
         surprised_s: `(*batch)` time for which one of them has been more than 0 [s].
@@ -98,11 +99,22 @@ class CompassOffset(NamedTuple):
 
     believed: BoolArray
     likely_s: FloatArray
+    suspected: BoolArray
     doubted: BoolArray
     surprise: FloatArray
     surprised_s: FloatArray
     support: FloatArray
     antipode: FloatArray
+
+    @property
+    def unknown(self) -> BoolArray:
+        """`(*batch)` whether all but the witness do without the compass.
+
+        The settled learner does not learn meanwhile: filters whose yaw is off take it for noise of
+        the fixes, and the witness would then need many more of them. Alarms act, so that the pose
+        stays at the fixes.
+        """
+        return self.doubted | self.suspected
 
 
 def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> CompassOffset:
@@ -114,8 +126,8 @@ def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> Compa
     """
     none, no = np.zeros(batch), np.zeros(batch, dtype=np.bool_)
     return CompassOffset(
-        believed=no, likely_s=none, doubted=no, surprise=np.zeros((2, *batch)), surprised_s=none,
-        support=none,
+        believed=no, likely_s=none, suspected=no, doubted=no,
+        surprise=np.zeros((2, *batch)), surprised_s=none, support=none,
         antipode=none if from_readings else np.full(batch, KEPT_AT),
     )  # fmt: skip
 
@@ -128,14 +140,37 @@ def offset_of(bank: Bank) -> tuple[FloatArray, FloatArray]:
 
 def log_odds(bank: Bank) -> FloatArray:
     """Return D, `(*batch)` [nats]."""
-    offset, variance = offset_of(bank)
+    return _log_odds(*offset_of(bank))
+
+
+def _log_odds(offset: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return D, `(*batch)` [nats], of an offset [rad] with a variance [rad^2]."""
     v = variance + USUAL_OFFSET_STD**2
     return np.asarray(0.5 * offset * offset / v - 0.5 * np.log(WITNESS_OFFSET_STD**2 / v))
 
 
-def is_likely(offset: CompassOffset, bank: Bank) -> BoolArray:
-    """Return where an offset is likely, `(*batch)`, but not believed yet."""
-    return np.asarray((log_odds(bank) > LIKELY_AT) & ~offset.believed)
+def suspected_with(
+    offset: CompassOffset, bank: Bank, yaw: FloatArray, noise: FloatArray, read: BoolArray
+) -> CompassOffset:
+    """Return the belief with what a yaw would make likely, before it is taken.
+
+    Args:
+        offset: the belief before it.
+        bank: all filters before it.
+        yaw: `(*batch)` of the compass, or of a fix where there is none [rad].
+        noise: `(*batch)` its R [rad^2].
+        read: `(*batch)` whether there is a reading.
+    """
+    if not read.any():
+        return offset
+    x, P = bank.mean[:, WITNESS], bank.covariance[:, :, WITNESS]
+    HP = P[Component.YAW] + P[Component.YAW_DRIFT] + P[_OFFSET]
+    s = HP[Component.YAW] + HP[Component.YAW_DRIFT] + HP[_OFFSET] + noise
+    e = wrap_angle(yaw - x[Component.YAW] - x[Component.YAW_DRIFT] - x[_OFFSET])
+    gain = HP[_OFFSET] / s
+    D = _log_odds(wrap_angle(x[_OFFSET] + gain * e), P[_OFFSET, _OFFSET] - gain * HP[_OFFSET])
+    suspected = (D > LIKELY_AT) & ~offset.believed
+    return offset._replace(suspected=np.where(read, suspected, offset.suspected))
 
 
 def later(offset: CompassOffset, duration_s: float) -> CompassOffset:

@@ -35,12 +35,12 @@ from fnn_ekf_ros.core.lasting.compass_offset import (
     CompassOffset,
     after_compass,
     after_fix,
-    is_likely,
     later,
     offset_of,
     opposite_of_witness,
     reconsidered,
     start_offset,
+    suspected_with,
 )
 from fnn_ekf_ros.core.lasting.correction import correct_robustly, outlier_share_after
 from fnn_ekf_ros.core.lasting.members import (
@@ -126,26 +126,18 @@ class LastingState(NamedTuple):
         return np.where(self.fixes_last > LASTING_SHARE, factor, 0.0) * self.fix_variance
 
     @property
-    def yaw_in_doubt(self) -> BoolArray:
-        """`(*batch)` whether an offset of the yaw is likely or was unknown again, and not believed.
-
-        No noise is learned meanwhile: filters whose yaw is off take it for noise of the fixes, and
-        the witness would then need many more of them.
-        """
-        return is_likely(self.offset, self.bank) | self.offset.doubted
-
-    @property
     def correcting(self) -> Correcting:
         """The offset that readings are taken without."""
         believed, fix_yaw = self.offset.believed, np.where(self.compass_seen, 0.0, 1.0)
-        if not (believed | self.offset.doubted).any():
+        unknown = self.offset.unknown
+        if not (believed | unknown).any():
             none = np.zeros(believed.shape)
             return Correcting(none, none, fix_yaw)
         offset, variance = offset_of(self.bank)
         known = np.where(believed, variance, 0.0)
         return Correcting(
             offset=np.where(believed, offset, 0.0),
-            variance=np.where(self.offset.doubted, UNKNOWN_VARIANCE, known),
+            variance=np.where(unknown, UNKNOWN_VARIANCE, known),
             fix_yaw=fix_yaw,
         )
 
@@ -233,6 +225,7 @@ def predict_lasting(
     state: LastingState,
     control: FloatArray,
     process_noise: FloatArray,
+    persistent_noise: FloatArray,
     duration_s: float,
 ) -> LastingState:
     """Return the state after a step of the wheels; the estimate is that of before.
@@ -242,20 +235,36 @@ def predict_lasting(
         state: before the step.
         control: `(2, *batch)` [dS, dtheta] (m, rad).
         process_noise: `(2, *batch)` diagonal of Q for this step (m^2, rad^2).
+        persistent_noise: `(2, *batch)` the same without alarms. Alarms do not count for the filters
+            that tell the offset: a wrong yaw raises them, and they would then follow the compass.
         duration_s: its duration [s].
     """
     kept = kept_by_errors(duration_s, ERROR_TIME_S).behind(process_noise.ndim)
     added = (1.0 - kept * kept) * error_variances(state.fix_variance)
-    Q = process_noise[:, None] * PROCESS.behind(process_noise.ndim - 1)
+    factors = PROCESS.behind(process_noise.ndim - 1)
+    Q = process_noise[:, None] * factors
+    Q[:, OF_OFFSET] = persistent_noise[:, None] * factors[:, OF_OFFSET]
     bank = predict_augmented(model, state.bank, control, Q, kept, added)
     return state._replace(bank=bank, offset=later(state.offset, duration_s))
 
 
-def with_compass(state: LastingState, readings: Readings) -> LastingState:
-    """Return the state that knows whether a compass has been read."""
-    if state.compass_seen.all():
-        return state
-    return state._replace(compass_seen=state.compass_seen | readings.available[Row.COMPASS_YAW])
+def with_compass(state: LastingState, readings: Readings, noise: Noise) -> LastingState:
+    """Return the state that knows of readings to come: whether there is a compass, or one is off.
+
+    Without a compass the yaw of fixes takes its place.
+
+    Args:
+        state: before them.
+        readings: z, as the sensors sent it.
+        noise: R of the readings without lasting errors, of one filter.
+    """
+    z, available, R = readings.values, readings.available, noise.measurement[:, 0]
+    seen = state.compass_seen | available[Row.COMPASS_YAW]
+    yaw, yaw_noise, read = (
+        np.where(seen, each[Row.COMPASS_YAW], each[Row.LRF_YAW]) for each in (z, R, available)
+    )
+    offset = suspected_with(state.offset, state.bank, yaw, yaw_noise, read)
+    return state._replace(compass_seen=seen, offset=offset)
 
 
 def compare_with_members(state: LastingState, readings: Readings, noise: Noise) -> Comparison:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
-from fnn_ekf_ros.core.lasting.compass_offset import is_likely, offset_of
+from fnn_ekf_ros.core.lasting.compass_offset import offset_of
 from fnn_ekf_ros.core.lasting.lasting import LastingState
 from fnn_ekf_ros.core.lasting.members import ERROR_TIME_S, MEMBERS, SQUARED_FACTORS
 
@@ -71,7 +71,7 @@ def report_lasting(state: LastingState) -> LastingReport:
         offset=offset,
         offset_std=np.sqrt(variance),
         believed=state.offset.believed,
-        likely=is_likely(state.offset, state.bank),
+        likely=state.offset.suspected,
         doubted=state.offset.doubted,
         of_fix_yaw=~state.compass_seen,
     )

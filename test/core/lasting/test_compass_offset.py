@@ -20,6 +20,7 @@ from fnn_ekf_ros.core.lasting.compass_offset import (
     KNOWN_STD,
     LARGEST_GAIN,
     LARGEST_SURPRISE,
+    LIKELY_AT,
     SMALLEST_WEIGHT,
     SUPPORT_NEEDED,
     SWAPPED_AT,
@@ -36,6 +37,7 @@ from fnn_ekf_ros.core.lasting.compass_offset import (
     opposite_of_witness,
     reconsidered,
     start_offset,
+    suspected_with,
 )
 from fnn_ekf_ros.core.lasting.members import (
     ANTIPODE,
@@ -309,6 +311,35 @@ def test_offset_of_a_turned_compass_is_unknown_again() -> None:
     expected[OFFSET, OFFSET, WITNESS, 0] = WITNESS_OFFSET_STD**2
     np.testing.assert_array_equal(found.covariance, expected)
     np.testing.assert_array_equal(found.mean, bank.mean)
+
+
+def test_reading_to_come_is_suspected_if_it_makes_an_offset_likely() -> None:
+    """D is that of the witness corrected by the reading, as a dense Kalman filter does it."""
+    rng, robots, R, read = np.random.default_rng(3), 200, 0.01, np.ones(200, dtype=np.bool_)
+    bank = witness(0.0, 0.05, robots)
+    h = np.zeros(AUGMENTED_SIZE)
+    h[[Component.YAW, Component.YAW_DRIFT, OFFSET]] = 1.0
+    z = rng.uniform(-math.pi, math.pi, robots)
+    corrected = Bank(bank.mean.copy(), bank.covariance.copy())
+    for i in range(robots):
+        root = 0.1 * rng.standard_normal((AUGMENTED_SIZE, AUGMENTED_SIZE))
+        P, x = root @ root.T, rng.uniform(-0.5, 0.5, AUGMENTED_SIZE)
+        bank.mean[:, WITNESS, i], bank.covariance[:, :, WITNESS, i] = x, P
+        gain = P @ h / (h @ P @ h + R)
+        e = math.remainder(z[i] - h @ x, math.tau)
+        corrected.mean[:, WITNESS, i] = x + gain * e
+        corrected.covariance[:, :, WITNESS, i] = P - np.outer(gain, h @ P)
+    likely = log_odds(corrected) > LIKELY_AT
+    assert 0.1 < likely.mean() < 0.9
+    start = start_offset((robots,))
+    found = suspected_with(start, bank, z, np.full(robots, R), read)
+    np.testing.assert_array_equal(found.suspected, likely)
+    np.testing.assert_array_equal(found.unknown, likely)
+    # What is believed is not suspected; without a reading nothing changes.
+    believed = start._replace(believed=read)
+    assert not suspected_with(believed, bank, z, np.full(robots, R), read).suspected.any()
+    kept = suspected_with(found, bank, z, np.full(robots, R), ~read)
+    np.testing.assert_array_equal(kept.suspected, likely)
 
 
 def test_doubt_ends_when_the_offset_is_known_and_decided() -> None:

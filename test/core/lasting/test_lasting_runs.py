@@ -105,6 +105,18 @@ def test_large_offset_from_the_first_reading_is_found_within_30_s(
     np.testing.assert_allclose(np.cos(found - offset), 1.0, atol=0.1)
 
 
+@pytest.mark.parametrize("offset", [np.pi, -1.6])
+def test_pose_that_was_given_does_not_follow_a_compass_that_is_off(
+    joint: FilterModel, offset: float
+) -> None:
+    """From the first reading on, before it is believed and after."""
+    drive = lasting_drive(7, 6, 80, Errors(offset=offset))
+    found = tracked(joint, drive)
+    assert np.abs(found.error[:, 2]).max() < 0.5
+    assert np.hypot(*found.error[:, :2].transpose(1, 0, 2)).max() < 0.4
+    assert np.all(rms(found.error)[:2] < 0.1)
+
+
 def test_stuck_wheel_turns_no_compass(joint: FilterModel) -> None:
     """The fixes take the compass's side, not the wheels'."""
     drive = lasting_drive(7, 6, 280, Errors(stuck_at=200))
