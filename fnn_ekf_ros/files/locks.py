@@ -18,7 +18,8 @@ NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
 def lock(path: Path, flags: int, taken: FnnEkfError) -> ExitStack:
     """Lock a file or folder, until the result is closed or the process ends.
 
-    A file system without locks lets everybody have it.
+    A file system without locks lets everybody have it. A link is not followed: it could lead to a
+    file of somebody else, which would be made or locked.
 
     Args:
         path: what to lock.
@@ -27,10 +28,10 @@ def lock(path: Path, flags: int, taken: FnnEkfError) -> ExitStack:
 
     Raises:
         FnnEkfError: another process has the lock.
-        OSError: the file or folder cannot be opened.
+        OSError: the file or folder cannot be opened, or is a symbolic link.
     """
     with ExitStack() as held:
-        descriptor = os.open(path, flags, 0o666)
+        descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         held.callback(os.close, descriptor)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

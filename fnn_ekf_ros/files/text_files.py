@@ -7,16 +7,20 @@ import hashlib
 import json
 import os
 import re
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from fnn_ekf_ros.errors import FnnEkfError, reason_of
 
-_LONGEST_NAME = 240
+_TOKEN_BYTES = 6
+"""Length of the random end of a partial file's name [bytes, two digits each]: nobody can guess it
+and put a link there."""
+_LONGEST_NAME = 255 - 2 - 2 * _TOKEN_BYTES
 """Longest name of a file that a partial file is named after [bytes]: a file system allows 255, and
-a dot and a process number have to fit."""
+two dots and the random end have to fit."""
 
 
 def read_text(path: Path, what: str, kind: type[FnnEkfError], expected: str = "a text file") -> str:
@@ -51,8 +55,8 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    with written_whole(path) as partial, partial.open("w", encoding="utf-8") as file:
-        file.write(text)
+    with written_whole(path) as file:
+        file.write(text.encode())
         file.flush()
         os.fsync(file.fileno())
 
@@ -67,17 +71,20 @@ def write_json(path: Path, content: Any, indent: int = 1) -> None:
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """Yield the name of a hidden file to write, which then replaces a file or is removed.
+def written_whole(path: Path) -> Iterator[IO[bytes]]:
+    """Yield a hidden file to write, which then replaces a file or is removed.
+
+    It is new and its name is random, so that no link which somebody has put there is followed.
 
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    partial = path.parent / f".{_stem(path)}.{os.getpid()}"
+    partial = path.parent / f".{_stem(path)}.{secrets.token_hex(_TOKEN_BYTES)}"
     try:
         if path.exists() and not path.is_file():
             raise FnnEkfError(f"'{path}' is no file: expected the name of a file to write")
-        yield partial
+        with open(partial, "xb", opener=_open_new) as file:
+            yield file
         partial.replace(path)
     except FileNotFoundError:
         raise FnnEkfError(
@@ -90,13 +97,18 @@ def written_whole(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
+def _open_new(path: str, flags: int) -> int:
+    """Open a file that must not be there; `O_EXCL`, which mode x asks for, follows no link."""
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+
+
 def remove_partials(path: Path) -> int:
     """Remove what writers that were killed have left of a file; return how many there were.
 
     Raises:
         FnnEkfError: one cannot be removed.
     """
-    name = re.compile(rf"\.{re.escape(_stem(path))}\.[0-9]+")
+    name = re.compile(rf"\.{re.escape(_stem(path))}\.[0-9a-f]{{{2 * _TOKEN_BYTES}}}")
     try:
         found = [entry for entry in path.absolute().parent.iterdir() if name.fullmatch(entry.name)]
         for partial in found:

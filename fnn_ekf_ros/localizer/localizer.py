@@ -29,7 +29,7 @@ from fnn_ekf_ros.diagnostics.messages import TimeMessage
 from fnn_ekf_ros.diagnostics.recent_periods import RecentPeriods, last_move, new_move
 from fnn_ekf_ros.diagnostics.report import DiagnosticsReport
 from fnn_ekf_ros.localizer.history import NEVER_NS, History, LearnedState, learned_by
-from fnn_ekf_ros.localizer.saved_state import SavedState
+from fnn_ekf_ros.localizer.saved_state import SavedState, saved_pose
 from fnn_ekf_ros.messages.reading import read_input
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.timeline.events import (
@@ -184,11 +184,11 @@ class Localizer:
             pose, covariance = last.state.mean, last.state.covariance
         if pose is None:
             return None
-        learned = self._learned()
+        learned, at = self._learned(), saved_pose(pose, covariance)
         return SavedState(
             stamp_ns=last.stamp_ns,
-            pose=pose,
-            covariance=covariance,
+            pose=at.mean,
+            covariance=at.covariance,
             process_noise=learned.process_noise,
             measurement_noise=learned.measurement_noise,
             log_weight=learned.log_weight,

@@ -5,7 +5,12 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.covariance import limit_uncertainty
+from fnn_ekf_ros.core.limits import LARGEST_POSITION
 
 
 class SavedState(NamedTuple):
@@ -27,3 +32,26 @@ class SavedState(NamedTuple):
     process_noise: FloatArray
     measurement_noise: FloatArray
     log_weight: FloatArray | None = None
+
+
+class SavedPose(NamedTuple):
+    """A pose as it is saved.
+
+    Attributes:
+        mean: `(3,)` [x, y, yaw] (m, m, rad), the yaw in (-pi, pi].
+        covariance: `(3, 3)`, with standard deviations of `LARGEST_POSE_STD` at most.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def saved_pose(mean: FloatArray, covariance: FloatArray) -> SavedPose:
+    """Return a pose as the filter has it once it runs; one that was given may be beyond that.
+
+    Args:
+        mean: `(3,)` [x, y, yaw] (m, m, rad), any yaw.
+        covariance: `(3, 3)`, positive definite.
+    """
+    x, y = np.clip(mean[:2], -LARGEST_POSITION, LARGEST_POSITION)
+    return SavedPose(np.array([x, y, float(wrap_angle(mean[2]))]), limit_uncertainty(covariance))

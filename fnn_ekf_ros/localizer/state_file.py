@@ -3,6 +3,7 @@
 
 """The file a localizer keeps its state in, to start from it again; YAML."""
 
+import errno
 import json
 import math
 import os
@@ -16,17 +17,18 @@ import numpy as np
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.lasting.members import HORIZONS_S, MEMBER_COUNT
 from fnn_ekf_ros.core.limits import LARGEST_POSE_STD, LARGEST_POSITION
-from fnn_ekf_ros.errors import FnnEkfError
+from fnn_ekf_ros.errors import FnnEkfError, reason_of
 from fnn_ekf_ros.files.fields import Fields
 from fnn_ekf_ros.files.locks import lock
 from fnn_ekf_ros.files.text_files import remove_partials, write_text
 from fnn_ekf_ros.files.yaml_text import read_yaml
 from fnn_ekf_ros.localizer.saved_state import SavedState
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.timeline.filter_model import noise_bounds
 
 FORMAT_VERSION = 1
 """Version of the file's layout: a file of another one is refused."""
-ROBOT = (
+_IN_EVERY_FILE = (
     "wheel_radius",
     "wheel_separation",
     "gear_ratio",
@@ -35,7 +37,30 @@ ROBOT = (
     "period",
     "frame_id",
 )
-"""Parameters in which a saved state and the localizer have to agree."""
+"""Those of `ROBOT` that the first files had; a file without one of the others is not compared with
+it."""
+ROBOT = (
+    *_IN_EVERY_FILE,
+    "encoder_bits",
+    "left_inverted",
+    "right_inverted",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+    "left_joint",
+    "right_joint",
+    "lrf_use_message_covariance",
+    "lrf_yaw_offset",
+    "lrf_pose_scale",
+    "lrf_pose_delay",
+    "compass_clockwise",
+    "compass_offset",
+    "compass_delay",
+)
+"""Parameters in which a saved state and the localizer have to agree: all that say what a message
+means. With another value the noise and the weights of lasting errors were learned of other
+readings: those of a wrong offset, scale, delay or wheel include its error. Parameters that only
+say where the filter starts, how it adapts, what it takes for an outlier or how long it waits leave
+the state what it is."""
 _HEAD = """\
 # State of a localizer of fnn_ekf_ros, which writes it anew once a minute (parameter state_file).
 # Units: ns, m, rad; noise as variances, of 375 ms (distance, rotation) and of x, y, compass yaw,
@@ -125,9 +150,12 @@ class StateFile:
             "a file of its own for each"
         )
         try:
-            self._lock = lock(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, taken)
+            self._lock = lock(path, os.O_RDWR | os.O_CREAT, taken)
         except OSError as error:
-            raise SavedStateError(f"'{path}' cannot be locked: {error.strerror}") from None
+            reason = reason_of(error)
+            if error.errno == errno.ELOOP:
+                reason = "it is a symbolic link, expected a file or nothing; remove it"
+            raise SavedStateError(f"'{path}' cannot be locked: {reason}") from None
 
     def release(self) -> None:
         """Leave the file to the next one."""
@@ -190,7 +218,10 @@ def render_state(state: SavedState, parameters: LocalizerParameters, saved_at: d
         f'saved_at: "{saved_at.isoformat(" ", "seconds")}"',
     ]
     lines += ["robot:"]
-    lines += [f"  {name}: {json.dumps(getattr(parameters, name))}" for name in ROBOT]
+    # Not in ASCII: JSON writes two escapes for some characters, which YAML reads as two.
+    lines += [
+        f"  {name}: {json.dumps(getattr(parameters, name), ensure_ascii=False)}" for name in ROBOT
+    ]
     lines += [
         f"stamp_ns: {state.stamp_ns}",
         f"pose: {_shown(state.pose)}",
@@ -222,7 +253,8 @@ def read_state(path: Path, parameters: LocalizerParameters) -> ReadState:
     fields.version("format_version", FORMAT_VERSION)
     robot = fields.section("robot", "the parameters of the robot")
     for name in ROBOT:
-        if robot.value(name) != getattr(parameters, name):
+        compared = name in robot or name in _IN_EVERY_FILE
+        if compared and robot.value(name) != getattr(parameters, name):
             raise robot.refusal(name, f"{getattr(parameters, name)}, as in the parameters")
     stamp_ns = fields.whole("stamp_ns")
     pose = np.array(fields.numbers("pose", 3))
@@ -231,13 +263,11 @@ def read_state(path: Path, parameters: LocalizerParameters) -> ReadState:
     covariance = np.array(fields.matrix("covariance", 3, 3))
     if not _is_covariance(covariance):
         raise fields.refusal("covariance", "a symmetric, positive definite matrix")
-    p = parameters
-    process = _noise(fields, "process_noise", p.process_noise_std_min, p.process_noise_std_max)
+    bounds = noise_bounds(parameters)
+    process = _noise(fields, "process_noise", bounds.process_min, bounds.process_max)
     measurement = _noise(
-        fields, "measurement_noise",
-        (*p.measurement_noise_std_min, p.measurement_noise_std_min[2]),
-        (*p.measurement_noise_std_max, p.measurement_noise_std_max[2]),
-    )  # fmt: skip
+        fields, "measurement_noise", bounds.measurement_min, bounds.measurement_max
+    )
     state = SavedState(
         stamp_ns=stamp_ns,
         pose=pose,
@@ -263,11 +293,10 @@ def _is_covariance(matrix: FloatArray) -> bool:
 
 
 def _noise(
-    fields: Fields, key: str, smallest_std: tuple[float, ...], largest_std: tuple[float, ...]
+    fields: Fields, key: str, smallest: tuple[float, ...], largest: tuple[float, ...]
 ) -> FloatArray:
-    variances = np.array(fields.numbers(key, len(smallest_std)))
-    low, high = np.square(smallest_std), np.square(largest_std)
-    if not np.all((variances >= low) & (variances <= high)):
+    variances = np.array(fields.numbers(key, len(smallest)))
+    if not np.all((variances >= smallest) & (variances <= largest)):
         raise fields.refusal(
             key, f"variances within the bounds {key}_std_min and {key}_std_max of the parameters"
         )

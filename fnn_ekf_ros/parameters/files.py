@@ -107,7 +107,9 @@ def _yaml(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     return (
-        json.dumps(value) if not value.isidentifier() or value.lower() in _MISREAD else str(value)
+        json.dumps(value, ensure_ascii=False)
+        if not value.isidentifier() or value.lower() in _MISREAD
+        else str(value)
     )
 
 

@@ -50,10 +50,10 @@ def save(figure: Any, path: Path, dpi: int = DPI) -> None:
     """
     kind = path.suffix.removeprefix(".").lower() or "png"
     metadata = {"Software": None} if kind == "png" else None
-    with written_whole(path) as partial, warnings.catch_warnings():
+    with written_whole(path) as file, warnings.catch_warnings():
         # Names may be in any script; a box stands for what the font does not have.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        figure.savefig(partial, format=kind, dpi=dpi, metadata=metadata)
+        figure.savefig(file, format=kind, dpi=dpi, metadata=metadata)
 
 
 def shown_text(name: str) -> str:

@@ -7,7 +7,7 @@ import json
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 from commands import Refuse, Succeed
@@ -223,8 +223,8 @@ def test_numbers_under_the_name_of_another_result(
 
 def test_a_picture_is_replaced_only_by_a_whole_one(tmp_path: Path) -> None:
     class Breaking:
-        def savefig(self, path: Path, **_: object) -> None:
-            path.write_bytes(b"half")
+        def savefig(self, file: IO[bytes], **_: object) -> None:
+            file.write(b"half")
             raise OSError(28, "full")
 
     picture = tmp_path / "picture.png"
