@@ -39,7 +39,7 @@ from fnn_ekf_ros.recordings.diagnosis import BagExamination
 from fnn_ekf_ros.recordings.inputs import (
     TopicNames,
     inputs_in,
-    last_words,
+    no_start,
     take,
 )
 from fnn_ekf_ros.recordings.transforms import ReplayedTransforms
@@ -172,10 +172,7 @@ def _replay(
                     out.write(names.of(topic), message, record.time_ns)
         summary = monitor.summary()
         if summary is None:
-            raise BagError(
-                f"bag '{arguments.bag}' gives no odom: expected encoders, fixes and a yaw "
-                f"that start the filter; {last_words(localizer)}"
-            )
+            raise no_start(localizer, bag, inputs)
     if transforms is not None and transforms.not_copied:
         print(
             f"replay: {transforms.not_copied} transforms to {transforms.child} of {arguments.bag} "

@@ -25,6 +25,7 @@ from fnn_ekf_ros.parameters.files import (
 )
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, build
+from fnn_ekf_ros.recordings.bag_files import STORAGE_SUFFIXES
 from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.reports.result_folder import prepare_study
@@ -41,8 +42,6 @@ from fnn_ekf_ros.version import version
 
 NAME = "real"
 """Name of the subcommand."""
-BAG_SUFFIXES = (".mcap", ".db3")
-"""Endings of a file that is a recording; another one is a state file."""
 SUMMARY = "recordings with a ground truth, from 25 starts with wrong noise"
 """Its line in `study --help`."""
 
@@ -149,7 +148,7 @@ def _teacher(arguments: argparse.Namespace, robot: LocalizerParameters) -> Teach
             f"--state-file '{path}' does not exist: expected a recording, or the state_file of a "
             "localizer"
         )
-    if path.is_file() and path.suffix not in BAG_SUFFIXES:
+    if path.is_file() and path.suffix not in STORAGE_SUFFIXES:
         return teacher_from_file(path, robot)
     label, (parameters, _) = _label(path), _parameters(path, arguments)
     periods = read_periods(path, label, parameters, arguments.remappings)

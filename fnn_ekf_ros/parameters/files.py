@@ -15,33 +15,41 @@ _MISREAD = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 """Words that YAML reads as truth values or as nothing, so that they are written in quotes."""
 
 
-def read_parameter_file(path: Path, node_name: str) -> dict[str, Any]:
+def read_parameter_file(path: Path, node_name: str, *, has_section: bool = True) -> dict[str, Any]:
     """Return the parameters that a ROS parameter file holds for a node, in any namespace.
 
     Args:
         path: YAML file; sections are named by the node (`/**`, `/**/NAME`, `NAME`, ...).
         node_name: the node's name, without namespace.
+        has_section: whether a file without a section for the node is refused; a node that runs
+            under another name, or with one file for all nodes, takes it.
 
     Raises:
-        ParameterError: the file cannot be read or is not in ROS form.
+        ParameterError: the file cannot be read, is not in ROS form or is for other nodes only.
     """
     content = read_yaml(path, "parameter file", ParameterError)
     form = f"'/**/{node_name}:', under it 'ros__parameters:', under it the parameters"
     if not isinstance(content, dict):
         raise ParameterError(f"parameter file '{path}' holds no sections: expected {form}")
     values: dict[str, Any] = {}
-    named = []
+    named, matched = [], False
     robots: set[str] = set()
     for name, section in _sections("", content):
         if not isinstance(section, dict) or not name:
             raise ParameterError(f"parameter file '{path}', section '{name}': expected {form}")
         named.append(name)
         if name.rsplit("/", 1)[-1] in {node_name, "*", "**"}:
+            matched = True
             values.update(_flatten("", section))
             if "*" not in name:
                 robots.add(name)
     if not named:
         raise ParameterError(f"parameter file '{path}' has no 'ros__parameters': expected {form}")
+    if has_section and not matched:
+        raise ParameterError(
+            f"parameter file '{path}' has no section for {node_name}, but for "
+            f"{', '.join(sorted(named))}: expected '/**/{node_name}:' or '/**:'; rename the section"
+        )
     if len(robots) > 1:
         raise ParameterError(
             f"parameter file '{path}' has sections for {' and '.join(sorted(robots))}: expected "

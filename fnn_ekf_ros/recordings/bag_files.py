@@ -4,13 +4,16 @@
 """Reading of rosbag2 recordings."""
 
 import os
-from collections.abc import Iterator, Mapping
+import stat
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple, Self
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.recordings.rosbags_api import (
+    LARGEST_CHUNK,
     RELIABLE,
     TYPESTORE,
     Connection,
@@ -18,10 +21,22 @@ from fnn_ekf_ros.recordings.rosbags_api import (
     QosDurability,
     QosReliability,
     Reader,
+    TooLargeError,
 )
 
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of a complete mcap file."""
+_ROS_1_MAGIC = b"#ROSBAG V"
+"""The first bytes of a recording of ROS 1."""
+STORAGE_SUFFIXES = (".mcap", ".db3")
+"""Endings of a file that is a recording."""
+LAST_STAMP_S = 2**31 - 1
+"""Last second that a stamp of ROS can have, in 2038: builtin_interfaces/Time has an int32 [s]."""
+_LARGEST_OPEN = 2 * LARGEST_CHUNK
+"""Largest size of all chunks that are unpacked at the same time [bytes]: a chunk stays in memory
+from its first message to its last, and those of a recorder overlap by one or two."""
+_MOST_NAMED = 5
+"""Largest number of files that an error names."""
 
 
 class BagError(FnnEkfError):
@@ -85,20 +100,69 @@ def _topic_of(connection: Connection) -> Topic:
     )
 
 
-def _check_readable(path: Path) -> None:
-    try:
-        if not path.exists():
-            raise BagError(f"bag '{path}' does not exist: expected a rosbag2 recording")
-        if not path.is_dir() and not path.is_file():
-            raise BagError(f"bag '{path}' is no file: expected a rosbag2 recording")
-        finished = not path.is_dir() or (path / "metadata.yaml").exists()
-    except (OSError, ValueError) as error:
-        raise BagError(f"bag '{str(path)[:80]}' cannot be read: {reason(error)}") from None
-    if not finished:
-        raise BagError(
-            f"bag '{path}' has no metadata.yaml: expected the folder of a finished rosbag2 "
-            "recording (of an unfinished one, give the .db3 file, or use `ros2 bag reindex`)"
+def check_bags(paths: Iterable[Path]) -> None:
+    """Check that recordings are there, before anything else is asked for.
+
+    Raises:
+        BagError: one is not there, no recording of ROS 2, not finished, or holds what is no file.
+    """
+    for path in paths:
+        try:
+            _check_bag(path)
+        except (OSError, ValueError) as error:
+            raise BagError(f"bag '{str(path)[:80]}' cannot be read: {reason(error)}") from None
+
+
+def _check_bag(path: Path) -> None:
+    if not path.exists():
+        raise BagError(f"bag '{path}' does not exist: expected a rosbag2 recording")
+    if path.is_file():
+        _refuse_ros_1(path)
+        return
+    if not path.is_dir():
+        raise BagError(f"bag '{path}' is no file: expected a rosbag2 recording")
+    entries = sorted(path.iterdir())
+    for entry in entries:  # what waits for a writer, or never ends
+        if entry.exists() and not (entry.is_file() or entry.is_dir()):
+            kind = stat.filemode(entry.stat().st_mode)
+            raise BagError(
+                f"bag '{path}': '{entry.name}' ({kind}) is no file: expected a recording"
+            )
+    if not (path / "metadata.yaml").exists():
+        raise BagError(f"bag '{path}' has no metadata.yaml: {_what_is_instead(path, entries)}")
+
+
+def _what_is_instead(path: Path, entries: list[Path]) -> str:
+    """Return what to do with a folder that is no finished recording, by what is in it."""
+    for entry in entries:
+        if entry.is_file() and entry.suffix == ".bag":
+            _refuse_ros_1(entry)
+    stored = [entry for entry in entries if entry.suffix in STORAGE_SUFFIXES]
+    if stored:
+        return (
+            f"its writer was ended too early; `ros2 bag reindex {quote(str(path))}` makes one, or "
+            f"give {_listed(stored)}"
         )
+    inner = [entry for entry in entries if (entry / "metadata.yaml").is_file()]
+    if inner:
+        return f"it is no recording, but holds {_listed(inner)}"
+    return "expected the folder of a rosbag2 recording, or its .mcap or .db3 file"
+
+
+def _listed(paths: list[Path]) -> str:
+    more = len(paths) - _MOST_NAMED
+    named = ", ".join(f"'{path}'" for path in paths[:_MOST_NAMED])
+    return f"{named} and {more} more" if more > 0 else named
+
+
+def _refuse_ros_1(path: Path) -> None:
+    with path.open("rb") as file:
+        if file.read(len(_ROS_1_MAGIC)) == _ROS_1_MAGIC:
+            out = path.with_suffix("") if path.suffix == ".bag" else Path("OUT")
+            raise BagError(
+                f"bag '{path}' is a recording of ROS 1: `rosbags-convert --src {quote(str(path))} "
+                f"--dst {quote(str(out))}` makes one of ROS 2, in a new folder"
+            )
 
 
 def _breaks_off(path: Path) -> bool:
@@ -108,6 +172,11 @@ def _breaks_off(path: Path) -> bool:
         file.seek(-min(len(_MCAP_MAGIC), path.stat().st_size), os.SEEK_END)
         return begin == _MCAP_MAGIC and file.read() != _MCAP_MAGIC
     return False
+
+
+def _files_of(path: Path) -> list[Path]:
+    """Return the files of a recording that may break off."""
+    return sorted(path.glob("*.mcap")) if path.is_dir() else [path]
 
 
 class BagReader:
@@ -129,10 +198,11 @@ class BagReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        _check_readable(path)
+        check_bags([path])
         try:
             self._reader = Reader(path)
             self._reader.open()
+            self._check_chunks()
             self.message_count = int(self._reader.message_count)
             self.start_ns = int(self._reader.start_time)
             self.duration_s = float(self._reader.duration) * 1e-9
@@ -201,13 +271,53 @@ class BagReader:
         """Close the recording."""
         self.close()
 
+    def check_stamps(self) -> None:
+        """Check that ROS can stamp messages at all times of the recording.
+
+        Raises:
+            BagError: it goes on after 2038, or begins before 1902.
+        """
+        for time_s in (self.start_ns * 1e-9, self.start_ns * 1e-9 + self.duration_s):
+            if self.message_count and abs(time_s) > LAST_STAMP_S:
+                raise BagError(
+                    f"bag '{self.path}' has messages of {time_s:.0f} s: stamps of ROS end in 2038, "
+                    f"at {LAST_STAMP_S} s; was the clock set when it was recorded?"
+                )
+
+    def _check_chunks(self) -> None:
+        """Check by the index how much of the recording would be in memory at the same time.
+
+        Raises:
+            TooLargeError: it is too much.
+        """
+        storage = self._reader.storage
+        for each in getattr(storage, "storages", [storage]):
+            sizes: dict[int, int] = {}  # by which the size changes, in order of time
+            for chunk in getattr(each, "chunks", []):
+                begin, end = chunk.message_start_time, chunk.message_end_time + 1
+                sizes[begin] = sizes.get(begin, 0) + chunk.uncompressed_size
+                sizes[end] = sizes.get(end, 0) - chunk.uncompressed_size
+            unpacked = 0
+            for time_ns in sorted(sizes):
+                unpacked += sizes[time_ns]
+                if unpacked > _LARGEST_OPEN:
+                    raise TooLargeError
+
     def _broken(self, error: Exception) -> BagError:
-        if _breaks_off(self.path):
+        if isinstance(error, TooLargeError):
             return BagError(
-                f"bag '{self.path}' cannot be read: it breaks off after "
-                f"{self.path.stat().st_size / 1e6:.1f} MB, its writer was ended too early; "
-                "`mcap recover` writes what is complete into a new file"
+                f"bag '{self.path}' cannot be read: chunks of it that belong together unpack to "
+                f"more than {LARGEST_CHUNK // 2**20} MiB; if it is no damaged file, "
+                "`mcap filter --chunk-size 4194304` writes smaller ones"
             )
+        for path in _files_of(self.path):
+            if _breaks_off(path):
+                return BagError(
+                    f"bag '{self.path}' cannot be read: '{path}' breaks off after "
+                    f"{path.stat().st_size / 1e6:.3g} MB, its writer was ended too early; "
+                    f"`mcap recover {quote(str(path))} -o recovered.mcap` writes what is complete "
+                    "into a file that can be given instead"
+                )
         return BagError(
             f"bag '{self.path}' cannot be read ({reason(error)}): expected a complete rosbag2 "
             "recording in mcap or sqlite3"

@@ -5,6 +5,7 @@
 
 import os
 import shutil
+import struct
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from fnn_ekf_ros.messages import Message
-from fnn_ekf_ros.recordings.bag_files import BagError, Record, Topic, reason
+from fnn_ekf_ros.recordings.bag_files import LAST_STAMP_S, BagError, Record, Topic, reason
 from fnn_ekf_ros.recordings.rosbags_api import (
     RELIABLE,
     TYPESTORE,
@@ -83,8 +84,21 @@ class BagWriter:
         )
 
     def write(self, topic: str, message: Message, time_ns: int) -> None:
-        """Write a message; `topic` is absolute, `time_ns` the time of recording [ns]."""
-        data = TYPESTORE.serialize_cdr(_built(message), message.type_name)
+        """Write a message; `topic` is absolute, `time_ns` the time of recording [ns].
+
+        Raises:
+            BagError: a number in it is beyond its type, such as a stamp after 2038; or see
+                `write_raw`.
+        """
+        try:
+            data = TYPESTORE.serialize_cdr(_built(message), message.type_name)
+        except (struct.error, OverflowError) as error:
+            late = abs(time_ns) > LAST_STAMP_S * 10**9
+            why = "stamps of ROS end in 2038" if late else reason(error)
+            raise BagError(
+                f"bag '{self.path}': the message on {topic} at {time_ns * 1e-9:.3f} s cannot be "
+                f"written as {message.type_name} ({why})"
+            ) from None
         self.write_raw(
             Record(topic=topic, type_name=message.type_name, time_ns=time_ns, data=bytes(data))
         )

@@ -4,6 +4,7 @@
 """Topics of a recording that the localizer listens to, for all commands that run it."""
 
 from collections.abc import Mapping
+from itertools import islice
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.diagnostics.messages import LAST_REFUSAL
@@ -16,6 +17,8 @@ from fnn_ekf_ros.timeline.events import Level, Output
 
 TOPICS = (*messages.INPUT_TYPES, *messages.output_topics(), messages.TF)
 """The localizer's topics that can have another name in a recording."""
+_SHOWN_MESSAGES = 50
+"""Number of messages of joint_states whose joints an error names: several publishers share it."""
 
 
 class TopicNames:
@@ -63,9 +66,10 @@ def inputs_in(bag: BagReader, parameters: LocalizerParameters, names: TopicNames
     """Return the localizer's topic for each of the recording's that it listens to.
 
     Raises:
-        BagError: a topic is missing or of another type.
+        BagError: a topic is missing or of another type, or the recording goes on after 2038.
         FnnEkfError: remappings put one of the localizer's topics onto another.
     """
+    bag.check_stamps()
     inputs: dict[str, str] = {}
     taken: dict[str, str] = {}
     for topic in messages.input_topics(parameters):
@@ -110,7 +114,24 @@ def take(
     return localizer.receive(topic, bag.message(record), record.time_ns).outputs
 
 
-def last_words(localizer: Localizer) -> str:
+def no_start(localizer: Localizer, bag: BagReader, inputs: Mapping[str, str]) -> BagError:
+    """Return the error for a recording that did not start a localizer, with what to do.
+
+    Args:
+        localizer: after the recording.
+        bag: the recording.
+        inputs: the localizer's topic for each of the recording's that it listens to.
+    """
+    said = [_last_words(localizer), *_missing_joints(localizer.parameters, bag, inputs)]
+    said += _other_frame(localizer.parameters, bag, inputs)
+    said += _silent_topics(localizer.parameters, bag, inputs)
+    return BagError(
+        f"bag '{bag.path}' gives no odom: expected encoders, fixes and a yaw that start the "
+        f"filter; {'; '.join(said)}"
+    )
+
+
+def _last_words(localizer: Localizer) -> str:
     """Return the localizer's troubles at the end of a recording, with the last refusals."""
     said = []
     for status in localizer.report():
@@ -119,3 +140,54 @@ def last_words(localizer: Localizer) -> str:
             detail = f" ({refusal})" if refusal else ""
             said.append(f"{status.name}: {status.message}{detail}")
     return "; ".join(said)
+
+
+def _missing_joints(
+    parameters: LocalizerParameters, bag: BagReader, inputs: Mapping[str, str]
+) -> list[str]:
+    """Return which joints the recording has, if those of the parameters are not among them."""
+    name = _recorded(messages.JOINT_STATES, inputs)
+    first = [] if name is None else islice(bag.records({name}), _SHOWN_MESSAGES)
+    there = sorted({str(joint) for record in first for joint in bag.message(record).name})
+    if not there:
+        return []
+    wanted = {"left_joint": parameters.left_joint, "right_joint": parameters.right_joint}
+    return [
+        f"{name} has no joint '{joint}', but {', '.join(there)}: -p {parameter}:=NAME takes another"
+        for parameter, joint in wanted.items()
+        if joint not in there
+    ]
+
+
+def _other_frame(
+    parameters: LocalizerParameters, bag: BagReader, inputs: Mapping[str, str]
+) -> list[str]:
+    """Return the frame of the fixes, if it is not that of the parameters."""
+    name = _recorded(messages.LRF_POSE, inputs)
+    first = None if name is None else next(bag.records({name}), None)
+    if first is None:
+        return []
+    frame = bag.message(first).header.frame_id
+    if frame == parameters.frame_id:
+        return []
+    return [f"-p frame_id:={frame or repr('')} takes the fixes of {name}"]
+
+
+def _silent_topics(
+    parameters: LocalizerParameters, bag: BagReader, inputs: Mapping[str, str]
+) -> list[str]:
+    """Return the topics that the filter waits for without a message of them."""
+    said = []
+    for topic in messages.input_topics(parameters):
+        name = _recorded(topic, inputs)
+        if topic == messages.INITIAL_POSE or (name is not None and bag.topics[name].message_count):
+            continue
+        shown = name or messages.absolute_name(topic)
+        more = ", -p lrf_use_yaw:=true the yaw of the fixes" if topic == messages.COMPASS else ""
+        said.append(f"no message on {shown}: -r {topic}:=NAME takes another topic{more}")
+    return said
+
+
+def _recorded(topic: str, inputs: Mapping[str, str]) -> str | None:
+    """Return the recording's name of one of the localizer's topics; None if it has none."""
+    return next((name for name, each in inputs.items() if each == topic), None)

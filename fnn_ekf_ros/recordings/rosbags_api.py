@@ -1,11 +1,20 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Names of rosbags that the package uses; the only module that imports it."""
+"""Names of rosbags that the package uses; the only module that imports it.
+
+What rosbags unpacks is bounded here: a chunk of 200 kB can hold 6 GB of zeros.
+"""
+
+from types import SimpleNamespace
+from typing import Any
 
 from fnn_ekf_ros.errors import FnnEkfError
 
 try:
+    import lz4.frame as lz4  # type: ignore[import-untyped]
+    import rosbags.rosbag2.reader as reader_of_folders
+    import rosbags.rosbag2.storage_mcap as mcap
     from rosbags.interfaces import (
         Connection,
         Qos,
@@ -24,8 +33,8 @@ except ImportError as error:
     ) from None
 
 __all__ = [
-    "RELIABLE", "TYPESTORE", "CompressionFormat", "CompressionMode", "Connection", "Qos",
-    "QosDurability", "QosReliability", "Reader", "StoragePlugin", "Writer",
+    "LARGEST_CHUNK", "RELIABLE", "TYPESTORE", "CompressionFormat", "CompressionMode", "Connection",
+    "Qos", "QosDurability", "QosReliability", "Reader", "StoragePlugin", "TooLargeError", "Writer",
 ]  # fmt: skip
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
@@ -37,3 +46,55 @@ RELIABLE = Qos(
     _ANY_TIME, _ANY_TIME, QosLiveliness.AUTOMATIC, _ANY_TIME, False,
 )  # fmt: skip
 """The profile of topics whose own is not known: ROS's default."""
+LARGEST_CHUNK = 2**28
+"""Largest size to which a chunk or a message is unpacked [bytes]: recorders write chunks of some
+MB, and the largest messages, point clouds and maps, have some ten MB."""
+
+
+class TooLargeError(Exception):
+    """A chunk or a message that would be unpacked to more than `LARGEST_CHUNK`."""
+
+
+def _unpacked(decompressor: Any, data: bytes, limit: int) -> bytes:
+    """Return what a compressed text holds, frame by frame; more than the limit is not unpacked.
+
+    Args:
+        decompressor: makes a decompressor of one frame.
+        data: the frames.
+        limit: largest size of the result [bytes].
+
+    Raises:
+        TooLargeError: it is larger.
+        EOFError: the last frame is incomplete.
+    """
+    parts: list[bytes] = []
+    room = min(limit, LARGEST_CHUNK)
+    while data:
+        frame = decompressor()
+        parts.append(frame.decompress(data, max_length=room + 1))
+        room -= len(parts[-1])
+        if room < 0:
+            raise TooLargeError
+        if not frame.eof:
+            raise EOFError("a compressed chunk or message breaks off")
+        data = frame.unused_data or b""
+    return b"".join(parts)
+
+
+def _bound_what_is_unpacked() -> None:
+    """Put bounded functions in the place of those with which rosbags unpacks chunks and messages.
+
+    rosbags has no option for it. It passes a chunk's decompressor the size that the recording says.
+    """
+    zstd = mcap.zstd  # type: ignore[attr-defined]
+    mcap.DECOMPRESSORS.update(
+        zstd=lambda data, size: _unpacked(zstd.ZstdDecompressor, data, size),
+        lz4=lambda data, size: _unpacked(lz4.LZ4FrameDecompressor, data, size),
+    )
+    reader_of_folders.zstd = SimpleNamespace(  # type: ignore[assignment,attr-defined]
+        open=zstd.open,
+        decompress=lambda data: _unpacked(zstd.ZstdDecompressor, data, LARGEST_CHUNK),
+    )
+
+
+_bound_what_is_unpacked()

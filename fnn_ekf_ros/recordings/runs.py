@@ -13,8 +13,8 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.parameters.localizer import NODE_NAME
-from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record
-from fnn_ekf_ros.recordings.inputs import last_words, take
+from fnn_ekf_ros.recordings.bag_files import BagReader, Record
+from fnn_ekf_ros.recordings.inputs import no_start, take
 from fnn_ekf_ros.recordings.run_record import Fixes, RunRecord, StatusReport, noise_at
 from fnn_ekf_ros.recordings.trajectories import check_topic, read_trajectory
 from fnn_ekf_ros.timeline.events import Output
@@ -127,10 +127,7 @@ def run_localizer(
             found.seen.append(len(found.stamps_ns))
             found.rows.append(messages.noise(estimate).fields["data"])
     if not poses:
-        raise BagError(
-            f"bag '{bag.path}' gives no odom: expected encoders, fixes and a yaw that start the "
-            f"filter; {last_words(localizer)}"
-        )
+        raise no_start(localizer, bag, inputs)
     time_ns, first = np.unique(np.array(found.stamps_ns), return_index=True)
     return RunRecord(
         track=Trajectory(time_ns, np.array(poses)[first], np.array(covariances)[first]),

@@ -90,6 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
     _check(arguments)
     with BagReader(arguments.bag) as bag, ros_started([], NODE_NAME):
+        if arguments.clock:
+            bag.check_stamps()
         topics = _chosen(bag, arguments)
         node = Node(NODE_NAME)
         try:

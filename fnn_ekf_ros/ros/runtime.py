@@ -47,7 +47,7 @@ def check_ros_arguments(argv: Sequence[str], node_name: str) -> None:
     given: dict[str, Any] = {}
     for option, value in itertools.pairwise(argv):
         if option == "--params-file":
-            given.update(read_parameter_file(Path(value), node_name))
+            given.update(read_parameter_file(Path(value), node_name, has_section=False))
         elif option in ("-p", "--param"):
             name, content = parse_assignment(value)
             given[name] = content

@@ -13,7 +13,7 @@ from fnn_ekf_ros.core.arrays import STATE_SIZE, FloatArray, Row
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader
-from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in, last_words, take
+from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in, no_start, take
 from fnn_ekf_ros.recordings.trajectories import read_trajectory
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.study.ablations import RealFilter, real_filters
@@ -184,17 +184,14 @@ def read_periods(
         inputs = inputs_in(bag, parameters, names)
         for record in with_progress(bag.records(), bag.message_count, f"{label}: reading"):
             take(localizer, bag, record, inputs)
-    periods = recorder.periods
-    if recorder.broken_ns is not None:
-        raise BagError(
-            f"bag '{path}': the localizer starts anew at {recorder.broken_ns * 1e-9:.3f} s; "
-            "expected a recording without jumps of the clock"
-        )
-    if not periods or isinstance(periods[-1].after, AwaitingStart):
-        raise BagError(
-            f"bag '{path}' gives no odom: expected encoders, fixes and a yaw that start the "
-            f"filter; {last_words(localizer)}"
-        )
+        periods = recorder.periods
+        if recorder.broken_ns is not None:
+            raise BagError(
+                f"bag '{path}': the localizer starts anew at {recorder.broken_ns * 1e-9:.3f} s; "
+                "expected a recording without jumps of the clock"
+            )
+        if not periods or isinstance(periods[-1].after, AwaitingStart):
+            raise no_start(localizer, bag, inputs)
     return tuple(periods)
 
 

@@ -50,8 +50,13 @@ def test_sections_for_the_node_are_read(read: Any, name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["other", "/**/other", "/localizer/other", "my_localizer", "localizer2", "/localizer_x"]
 )
-def test_sections_for_others_are_not(read: Any, name: str) -> None:
-    assert read(section(name)) == {}
+def test_sections_for_others_are_not(read: Any, name: str, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="has no section for localizer, but for ") as refused:
+        read(section(name))
+    assert f"but for /{name.strip('/')}: expected '/**/localizer:' or '/**:'" in str(refused.value)
+    path = tmp_path / "parameters.yaml"
+    assert read_parameter_file(path, "localizer", has_section=False) == {}
+    assert read(section(name, "period: 0.1") + section("localizer")) == {"wheel_radius": 0.1}
 
 
 def test_namespaces_may_be_nested(read: Any) -> None:
@@ -183,7 +188,7 @@ def test_written_read_and_built_it_is_the_same(
         encoding="utf-8",
     )
     assert build(LocalizerParameters, read_parameter_file(path, "localizer")) == made
-    assert read_parameter_file(path, "other") == {}
+    assert read_parameter_file(path, "other", has_section=False) == {}
 
 
 @pytest.mark.parametrize(
