@@ -10,8 +10,8 @@ import importlib
 import os
 import sys
 import textwrap
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout, suppress
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -29,9 +29,11 @@ class Command(NamedTuple):
     """An executable.
 
     Attributes:
-        module: has `add_arguments(parser)` and `run(arguments)`.
+        module: has `add_arguments(parser)`, which returns the parsers of subcommands if there are
+            any, and `run(arguments)`.
         summary: what it does.
-        examples: its arguments, as `--help` shows them.
+        examples: its arguments, as `--help` shows them; each subcommand's help those that begin
+            with its name.
         is_node: whether `run` takes the list of ROS arguments instead.
         stops_by_signal: whether SIGINT and SIGTERM are a proper end, with exit code 0.
     """
@@ -136,7 +138,15 @@ COMMANDS = {
     "study": Command(
         "fnn_ekf_ros.commands.study",
         "Monte Carlo runs through every filter",
-        ("grid --out grid --runs 10 --filters joint", "real run --out real --params run.yaml"),
+        (
+            "paper --out paper --runs 20",
+            "grid --out grid --runs 10 --filters joint",
+            "dynamic --out dynamic --runs 10 --filters joint -p lrf_pose_gate:=0.0",
+            "real run --out real --params run.yaml",
+            "faults --out faults --runs 2 --faults compass_nan,compass_frozen",
+            "rates --out rates --runs 4 --fixes 100",
+            "lasting --out lasting --runs 4 --steps 200 --json -",
+        ),
     ),
 }
 """The executables, by name."""
@@ -204,7 +214,17 @@ def _run(name: str, command: Command, given: list[str]) -> int:
     module = _declare(parser, name, command)
     _answer(parser)
     arguments = parser.parse_args(own)
-    return int(module.run(ros_arguments if command.is_node else arguments))
+    if command.is_node:
+        return int(module.run(ros_arguments))
+    with _messages_apart(arguments):
+        return int(module.run(arguments))
+
+
+def _messages_apart(arguments: argparse.Namespace) -> AbstractContextManager[Any]:
+    """Send what is printed to stderr if a result goes to standard output."""
+    results = vars(arguments).values()
+    on_stdout = any(getattr(result, "stream", None) is not None for result in results)
+    return redirect_stdout(sys.stderr) if on_stdout else nullcontext()
 
 
 def _declare(parser: argparse.ArgumentParser, name: str, command: Command) -> ModuleType:
@@ -219,13 +239,23 @@ def _declare(parser: argparse.ArgumentParser, name: str, command: Command) -> Mo
             "%(prog)s [-h] [--version] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]"
         )
     module = importlib.import_module(command.module)
-    module.add_arguments(parser)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.description = _paragraph(parser.description)
-    run = f"ros2 run {PACKAGE}" if command.is_node else f"python3 -m {PACKAGE}"
-    examples = "\n".join(f"  {run} {name} {example}".rstrip() for example in command.examples)
-    parser.epilog = f"{_paragraph(parser.epilog or '')}\n\nexamples:\n{examples}".strip()
+    below: Mapping[str, argparse.ArgumentParser] = module.add_arguments(parser) or {}
+    _show_examples(parser, name, command, command.examples)
+    for word, own in below.items():
+        chosen = [each for each in command.examples if each.split()[0] == word]
+        _show_examples(own, name, command, chosen)
     return module
+
+
+def _show_examples(
+    parser: argparse.ArgumentParser, name: str, command: Command, examples: Sequence[str]
+) -> None:
+    """Lay out a help, with examples at its end."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = _paragraph(parser.description or "")
+    run = f"ros2 run {PACKAGE}" if command.is_node else f"python3 -m {PACKAGE}"
+    shown = "\n".join(f"  {run} {name} {example}".rstrip() for example in examples)
+    parser.epilog = f"{_paragraph(parser.epilog or '')}\n\nexamples:\n{shown}".strip()
 
 
 def _paragraph(text: str) -> str:

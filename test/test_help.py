@@ -17,12 +17,15 @@ from places import ROOT
 
 from fnn_ekf_ros import cli, messages
 from fnn_ekf_ros.commands.arguments import possible_assignments, possible_remappings
+from fnn_ekf_ros.commands.study import OWN_MODULES
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.files import parse_assignment
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, fields_of
 from fnn_ekf_ros.recordings.inputs import TopicNames
+from fnn_ekf_ros.study.monte_carlo import STUDIES
 
+STUDIES_BY_NAME = {**STUDIES, **OWN_MODULES}
 NEEDS_ROS = {"localizer", "fake_robot", "play"}
 SETS = {"fake_robot": FakeRobotParameters, "simulate": FakeRobotParameters}
 """Parameter set of a command, if it is not the localizer's."""
@@ -58,6 +61,16 @@ def test_the_examples_of_a_command_parse_and_are_in_its_help(name: str) -> None:
         if "wheel_radius" in values:
             build(kind, values)
         TopicNames(remappings)
+
+
+def test_every_study_has_examples_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    for study in STUDIES_BY_NAME:
+        with pytest.raises(SystemExit):
+            cli.run_command("study", [study, "--help"])
+        shown = capsys.readouterr().out.partition("\nexamples:\n")[2]
+        lines = shown.splitlines()
+        assert lines, study
+        assert all(f"-m fnn_ekf_ros study {study} " in line for line in lines)
 
 
 def test_play_names_topics_that_there_are() -> None:

@@ -5,7 +5,7 @@
 
 import argparse
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +18,8 @@ from fnn_ekf_ros.parameters.files import (
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import Parameters, fields_of
 from fnn_ekf_ros.recordings.inputs import TOPICS
+from fnn_ekf_ros.reports.results import check_results, text_result
 from fnn_ekf_ros.study.workers import available_cpus
-
-MOST_JOBS = 1024
-"""Largest number of processes of `--jobs`: more than any machine has CPUs."""
 
 
 class Range(NamedTuple):
@@ -51,6 +49,12 @@ class Range(NamedTuple):
         if self.excludes_least:
             words = f"more than {least}, at most {most}"
         return f"{words} {self.unit}".rstrip()
+
+
+JOBS = Range(1, 1024)
+"""Numbers of processes of `--jobs`: at most more than any machine has CPUs."""
+SEEDS = Range(0, 2**63 - 1)
+"""Seeds of a study, as many as an integer of numpy has."""
 
 
 def check_ranges(values: Mapping[str, Any], ranges: Mapping[str, Range]) -> None:
@@ -145,45 +149,122 @@ def add_remapping_argument(parser: argparse.ArgumentParser) -> None:
     remappings.completer = possible_remappings  # type: ignore[attr-defined]
 
 
-def add_folder_argument(parser: argparse.ArgumentParser, results: str) -> None:
-    """Add `--out DIR` of a study; `results` names what is written there."""
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True,
-        help=f"folder for {results}; files of the same name are replaced",
-    )  # fmt: skip
+class Count(NamedTuple):
+    """A whole number that a study is asked for.
+
+    Attributes:
+        name: of the option, without dashes.
+        default: its default.
+        allowed: its range.
+        help: what is counted.
+    """
+
+    name: str
+    default: int
+    allowed: Range
+    help: str
 
 
-def add_json_argument(parser: argparse.ArgumentParser) -> None:
-    """Add `--json FILE` of a study."""
-    parser.add_argument(
-        "--json", metavar="FILE", type=Path, help="write the numbers here (DIR/results.json)"
-    )
+def runs_count(default: int, words: str) -> Count:
+    """Return `--runs N` of a study whose tables have confidence intervals: of two runs at least."""
+    return Count("runs", default, Range(2, 10_000), words)
 
 
-def add_seed_argument(parser: argparse.ArgumentParser) -> None:
-    """Add `--seed S` of a study."""
+def add_study_arguments(
+    parser: argparse.ArgumentParser, results: str, counts: Sequence[Count] = ()
+) -> None:
+    """Add what every study of simulated robots has.
+
+    Args:
+        parser: of the study.
+        results: what is written to the folder of `--out`, in words.
+        counts: the study's own numbers.
+    """
+    add_study_results(parser, results)
+    for count in counts:
+        parser.add_argument(
+            f"--{count.name}", metavar="N", type=int, default=count.default,
+            help=f"{count.help} ({count.default})",
+        )  # fmt: skip
     parser.add_argument(
         "--seed", metavar="S", type=int, default=1, help="seed of all random numbers (1)"
     )
-
-
-def add_jobs_argument(parser: argparse.ArgumentParser) -> None:
-    """Add `--jobs N`."""
     parser.add_argument(
         "--jobs", metavar="N", type=int, default=available_cpus(),
         help="processes at a time; results are the same for any number "
         "(%(default)s, the CPUs that may be used)",
     )  # fmt: skip
+    add_parameter_arguments(parser)
 
 
-def given_jobs(arguments: argparse.Namespace) -> int:
-    """Return the number of processes of `--jobs`.
+def check_study_arguments(arguments: argparse.Namespace, counts: Sequence[Count] = ()) -> None:
+    """Check the numbers that `add_study_arguments` has declared.
 
     Raises:
-        FnnEkfError: it is out of range.
+        FnnEkfError: one is out of its range.
     """
-    check_ranges(vars(arguments), {"jobs": Range(1, MOST_JOBS)})
-    return int(arguments.jobs)
+    ranges = {count.name.replace("-", "_"): count.allowed for count in counts} | {
+        "seed": SEEDS,
+        "jobs": JOBS,
+    }
+    check_ranges(vars(arguments), ranges)
+
+
+def add_study_results(parser: argparse.ArgumentParser, results: str) -> None:
+    """Add `--out DIR`, `--json FILE` and `--force` of a study; `results` names what is written."""
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help=f"new folder for {results}"
+    )
+    add_text_argument(parser, "--json", "write the numbers as JSON", "DIR/results.json")
+    add_force_argument(parser)
+
+
+def add_text_argument(
+    parser: argparse.ArgumentParser,
+    option: str,
+    words: str,
+    default: str = "",
+    *,
+    required: bool = False,
+) -> None:
+    """Add an option for the file of a text, which may be standard output.
+
+    Args:
+        parser: of the command.
+        option: such as `--json`.
+        words: what is written there.
+        default: where it is written without the option, in words; empty for nowhere.
+        required: whether the option has to be given.
+    """
+    without = f" ({default})" if default else ""
+    parser.add_argument(
+        option, metavar="FILE", type=text_result, required=required,
+        help=f"{words}{without}; - for standard output, and everything else on stderr",
+    )  # fmt: skip
+
+
+def add_force_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--force`."""
+    parser.add_argument(
+        "--force", action="store_true", help="replace results that are there already"
+    )
+
+
+def check_command_results(
+    arguments: argparse.Namespace, options: Iterable[str], inputs: Iterable[Path]
+) -> None:
+    """Check the files that a command was asked to write.
+
+    Args:
+        arguments: of the command, with `force`.
+        options: those that name a file to write, such as `--json`.
+        inputs: what the command reads, and other places of results.
+
+    Raises:
+        FnnEkfError: one cannot be written.
+    """
+    results = {option: getattr(arguments, option[2:].replace("-", "_")) for option in options}
+    check_results(results, inputs, replaces=arguments.force)
 
 
 def _number(value: float) -> str:

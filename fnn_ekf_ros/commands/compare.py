@@ -10,12 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.commands.arguments import add_remapping_argument
+from fnn_ekf_ros.commands.arguments import (
+    add_force_argument,
+    add_remapping_argument,
+    add_text_argument,
+    check_command_results,
+)
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.evaluation.alignment import Alignment
 from fnn_ekf_ros.evaluation.comparison import Compared, measures
 from fnn_ekf_ros.evaluation.evaluation import evaluate
-from fnn_ekf_ros.files.text_files import readable, write_json
+from fnn_ekf_ros.files.text_files import readable
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.files import (
@@ -25,7 +30,7 @@ from fnn_ekf_ros.parameters.files import (
 )
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.recordings.bag_files import BagReader
+from fnn_ekf_ros.recordings.bag_files import BagReader, check_bags
 from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in
 from fnn_ekf_ros.recordings.run_record import RunRecord
 from fnn_ekf_ros.recordings.runs import read_run, run_localizer
@@ -37,7 +42,6 @@ from fnn_ekf_ros.reports.comparison_table import (
     verdicts,
 )
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.reports.result_folder import check_result_file
 from fnn_ekf_ros.timeline.trajectory import Trajectory
 
 
@@ -73,15 +77,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--labels", nargs="+", metavar="LABEL", type=readable, help="names of the runs"
     )
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write all numbers as JSON")
+    add_text_argument(parser, "--json", "write all numbers as JSON")
+    add_force_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    truth_bags = [] if arguments.truth_bag is None else [arguments.truth_bag]
+    check_bags([*arguments.bags, *truth_bags])
     labels = _labels(arguments)
-    if arguments.json is not None:
-        inputs = [*arguments.bags, *(arguments.params or ())]
-        check_result_file("--json", arguments.json, inputs)
+    inputs = [*arguments.bags, *truth_bags, *(arguments.params or ())]
+    check_command_results(arguments, ["--json"], inputs)
     alignment = Alignment(arguments.align)
     runs: dict[str, Compared] = {}
     for label, (record, truth) in zip(labels, _runs(arguments, labels), strict=True):
@@ -95,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         for text in each.found.truth.warnings if each.found.truth is not None else ():
             print(f"warning: {label}: {text}")
     if arguments.json is not None:
-        write_json(arguments.json, plain_comparison(runs, compared), indent=2)
+        arguments.json.write_json(plain_comparison(runs, compared), indent=2)
     return 0
 
 

@@ -11,20 +11,21 @@ from typing import Any
 
 from fnn_ekf_ros.calibration.findings import Certainty, Finding
 from fnn_ekf_ros.commands.arguments import (
+    add_force_argument,
     add_parameter_arguments,
     add_remapping_argument,
+    add_text_argument,
+    check_command_results,
     given_parameters,
 )
-from fnn_ekf_ros.files.text_files import write_json, write_text
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build, fields_of
-from fnn_ekf_ros.recordings.bag_files import BagReader
+from fnn_ekf_ros.recordings.bag_files import BagReader, check_bags
 from fnn_ekf_ros.recordings.diagnosis import BagExamination
 from fnn_ekf_ros.recordings.inputs import TopicNames
 from fnn_ekf_ros.reports.doctor_report import as_json, as_text
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.reports.result_folder import check_result_file
 
 EXIT_CODE = (
     "The exit code is 0 if replay would work with these parameters and remappings, otherwise 1."
@@ -38,22 +39,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", metavar="BAG", type=Path, help="the recording of a drive")
     add_parameter_arguments(parser)
     add_remapping_argument(parser)
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write everything as JSON")
-    parser.add_argument(
-        "--write-params", metavar="FILE", type=Path,
-        help="write the parameters with what is certain or likely put right, ready to run",
-    )  # fmt: skip
+    add_text_argument(parser, "--json", "write everything as JSON")
+    add_text_argument(
+        parser,
+        "--write-params",
+        "write the parameters with what is certain or likely put right, ready to run",
+    )
+    add_force_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    check_bags([arguments.bag])
     given = given_parameters(arguments, NODE_NAME)
     names = TopicNames(arguments.remappings)
-    taken = [arguments.bag, *arguments.params]
-    for option, path in (("--json", arguments.json), ("--write-params", arguments.write_params)):
-        if path is not None:
-            check_result_file(option, path, taken)
-            taken.append(path)
+    inputs = [arguments.bag, *arguments.params]
+    check_command_results(arguments, ["--json", "--write-params"], inputs)
     with BagReader(arguments.bag) as bag:
         examination = BagExamination(bag, given, names)
         for record in with_progress(bag.records(), bag.message_count, "doctor"):
@@ -62,10 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
     duration_s, facts, findings, estimates, obstacle = found
     print(as_text(arguments.bag, duration_s, facts, findings, obstacle))
     if arguments.json is not None:
-        write_json(arguments.json, as_json(facts, findings, estimates, obstacle))
+        arguments.json.write_json(as_json(facts, findings, estimates, obstacle))
     if arguments.write_params is not None:
         text = corrected_file(arguments.bag.name, given, findings)
-        write_text(arguments.write_params, text)
+        arguments.write_params.write(text)
         print(f"{arguments.write_params}: parameters with these corrections")
     return 1 if obstacle else 0
 

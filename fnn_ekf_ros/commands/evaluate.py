@@ -11,6 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.commands.arguments import (
+    add_force_argument,
+    add_text_argument,
+    check_command_results,
+)
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.evaluation.alignment import Alignment, aligned_track
 from fnn_ekf_ros.evaluation.errors import parse_delta
@@ -22,8 +27,8 @@ from fnn_ekf_ros.evaluation.evaluation import (
     sentences,
 )
 from fnn_ekf_ros.evaluation.export import kitti_text, tum_text
-from fnn_ekf_ros.files.text_files import readable, write_json, write_text
-from fnn_ekf_ros.recordings.bag_files import BagError, BagReader
+from fnn_ekf_ros.files.text_files import readable, write_text
+from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, check_bags
 from fnn_ekf_ros.recordings.run_record import RunRecord
 from fnn_ekf_ros.recordings.runs import read_fixes, read_run
 from fnn_ekf_ros.recordings.trajectories import read_trajectory
@@ -31,9 +36,12 @@ from fnn_ekf_ros.reports import plots
 from fnn_ekf_ros.reports.findings import read_findings
 from fnn_ekf_ros.reports.page import require_jinja2, write_page
 from fnn_ekf_ros.reports.pictures import require_matplotlib
-from fnn_ekf_ros.reports.result_folder import check_result_file, make_folder
+from fnn_ekf_ros.reports.results import check_result_folder, result_folder
 from fnn_ekf_ros.reports.score_table import format_more, format_table
 from fnn_ekf_ros.timeline.trajectory import Trajectory
+
+TRACKS = ("odom", "truth")
+"""What is exported of a run, as in the names of the files."""
 
 
 class Evaluated(NamedTuple):
@@ -92,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_results(parser: argparse.ArgumentParser) -> None:
     """Declare the options that write something."""
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write all numbers as JSON")
+    add_text_argument(parser, "--json", "write all numbers as JSON")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw trajectories and errors")
     parser.add_argument(
         "--report", metavar="HTML", type=Path,
@@ -109,10 +117,12 @@ def _add_results(parser: argparse.ArgumentParser) -> None:
         "--kitti", metavar="DIR", type=Path,
         help="write them in the format of KITTI, at the times that both have",
     )  # fmt: skip
+    add_force_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    check_bags([*arguments.bags, *_truth_bags(arguments)])
     labels = arguments.labels or [readable(str(path)) for path in arguments.bags]
     delta = parse_delta(arguments.rpe)
     _check(arguments, labels)
@@ -133,9 +143,6 @@ def run(arguments: argparse.Namespace) -> int:
             )
         evaluated[label] = Evaluated(record, truths[source], found)
     drawn = _runs_to_draw(arguments, labels, evaluated) if arguments.plot is not None else {}
-    for kind in ("tum", "kitti"):
-        if getattr(arguments, kind) is not None:
-            make_folder(getattr(arguments, kind), f"--{kind}")
     _print(evaluated, _truth_topic(arguments))
     _write_numbers(arguments, evaluated)
     if arguments.plot is not None:
@@ -196,14 +203,15 @@ def _write_numbers(arguments: argparse.Namespace, evaluated: Mapping[str, Evalua
         content = {
             label: plain(each.found) | plain_run(each.record) for label, each in evaluated.items()
         }
-        write_json(arguments.json, content, indent=2)
+        arguments.json.write_json(content, indent=2)
     for kind in ("tum", "kitti"):
         folder = getattr(arguments, kind)
         if folder is None:
             continue
-        for label, each in evaluated.items():
-            for name, text in _tracks(kind, each).items():
-                write_text(folder / f"{_file_name(label)}_{name}.{kind}", text)
+        with result_folder(folder, f"--{kind}") as work:
+            for label, each in evaluated.items():
+                for name, text in _tracks(kind, each).items():
+                    write_text(work / _track_file(label, name, kind), text)
 
 
 def _tracks(kind: str, each: Evaluated) -> dict[str, str]:
@@ -228,6 +236,15 @@ def _file_name(label: str) -> str:
     return re.sub(r"[^\w.-]+", "_", label).strip("._") or "run"
 
 
+def _track_file(label: str, name: str, kind: str) -> str:
+    """Return the name of the file of a track, `odom` or `truth`, in a format."""
+    return f"{_file_name(label)}_{name}.{kind}"
+
+
+def _truth_bags(arguments: argparse.Namespace) -> list[Path]:
+    return [] if arguments.truth_bag is None else [arguments.truth_bag]
+
+
 def _check(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
     """Refuse labels and files that do not fit, and what cannot be drawn."""
     if len(labels) != len(arguments.bags):
@@ -248,17 +265,17 @@ def _check(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
 
 def _check_results(arguments: argparse.Namespace, labels: Sequence[str]) -> None:
     """Refuse names of results that cannot be written."""
-    taken = [*arguments.bags, *([] if arguments.truth_bag is None else [arguments.truth_bag])]
-    taken += [] if arguments.findings is None else [arguments.findings]
-    for option in ("json", "plot", "report"):
-        path = getattr(arguments, option)
-        if path is not None:
-            check_result_file(f"--{option}", path, taken)
-            taken.append(path)
+    inputs = [*arguments.bags, *_truth_bags(arguments)]
+    inputs += [] if arguments.findings is None else [arguments.findings]
+    check_command_results(arguments, ["--json", "--plot", "--report"], inputs)
     if (arguments.tum or arguments.kitti) and len({_file_name(label) for label in labels}) < len(
         labels
     ):
         raise FnnEkfError(f"{', '.join(labels)}: expected labels that make different file names")
+    for kind in ("tum", "kitti"):
+        if (folder := getattr(arguments, kind)) is not None:
+            names = [_track_file(label, name, kind) for label in labels for name in TRACKS]
+            check_result_folder(f"--{kind}", folder, replaces=arguments.force, names=names)
     if arguments.plot is not None or arguments.report is not None:
         require_matplotlib()
 

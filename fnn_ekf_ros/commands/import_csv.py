@@ -17,10 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
+from fnn_ekf_ros.commands.arguments import add_force_argument
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter, file_beside, refuse_existing
+from fnn_ekf_ros.recordings.bag_writer import (
+    STORAGES,
+    BagWriter,
+    file_beside,
+    refuse_existing,
+    refuse_inputs,
+)
 from fnn_ekf_ros.recordings.csv_hints import import_notes
 from fnn_ekf_ros.recordings.csv_import import (
     COMPASS_COLUMN,
@@ -64,11 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--storage", choices=STORAGES, default="mcap", help="storage format of the bag (mcap)"
     )
+    add_force_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    refuse_existing(arguments.out)
+    for result in (arguments.out, file_beside(arguments.out)):
+        refuse_existing(result, replaces=arguments.force)
+    given = (arguments.csv, arguments.fixes, arguments.geometry)
+    refuse_inputs(arguments.out, [path for path in given if path is not None])
     table = read_table(arguments.csv)
     fixes = table if arguments.fixes is None else read_table(arguments.fixes)
     truth = chosen_columns(table, arguments.truth_columns, TRUTH_COLUMNS, "--truth-columns")
@@ -96,7 +107,8 @@ def run(arguments: argparse.Namespace) -> int:
     head = f"Localizer parameters for {arguments.out.name}, imported from {arguments.csv.name}."
     matching = render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME, head)
     notes = {"source": arguments.csv.name}
-    with BagWriter(arguments.out, arguments.storage, notes, matching) as bag:
+    writer = BagWriter(arguments.out, arguments.storage, notes, matching, replaces=arguments.force)
+    with writer as bag:
         for entry in with_progress(timed, len(timed), "import-csv"):
             bag.write(f"/{entry.topic}", entry.message, entry.time_ns)
     counts = Counter(entry.topic for entry in timed)

@@ -12,8 +12,11 @@ from pathlib import Path
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.calibration.findings import UNTOLD, Certainty
 from fnn_ekf_ros.commands.arguments import (
+    add_force_argument,
     add_parameter_arguments,
     add_remapping_argument,
+    add_text_argument,
+    check_command_results,
     given_parameters,
 )
 from fnn_ekf_ros.diagnostics.health import UNHEALTHY_SHARE, HealthSummary
@@ -24,7 +27,6 @@ from fnn_ekf_ros.diagnostics.health_words import (
     health_lines,
     plain_summary,
 )
-from fnn_ekf_ros.files.text_files import write_json, write_text
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.outputs import output_messages
 from fnn_ekf_ros.localizer.saved_state import SavedState
@@ -33,8 +35,8 @@ from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record, Topic
-from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter
+from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record, Topic, check_bags
+from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter, refuse_inputs
 from fnn_ekf_ros.recordings.diagnosis import BagExamination
 from fnn_ekf_ros.recordings.inputs import (
     TopicNames,
@@ -45,7 +47,6 @@ from fnn_ekf_ros.recordings.inputs import (
 from fnn_ekf_ros.recordings.transforms import ReplayedTransforms
 from fnn_ekf_ros.reports.doctor_report import finding_line, plain_findings
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.reports.result_folder import check_result_file
 from fnn_ekf_ros.stopping import UNHEALTHY
 
 EXAMINED_NS = 600 * 10**9
@@ -75,13 +76,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "filter was too sure of a sensor, wheels or noise were far from what is configured, or "
         "something is wrong with robot, wiring or configuration as in doctor",
     )  # fmt: skip
-    parser.add_argument(
-        "--save-params", metavar="FILE", type=Path,
-        help="write a parameter file with the noise that was found and what else would fit",
-    )  # fmt: skip
-    parser.add_argument(
-        "--json", metavar="FILE", type=Path, help="write the health summary as JSON"
+    add_text_argument(
+        parser,
+        "--save-params",
+        "write a parameter file with the noise that was found and what else would fit",
     )
+    add_text_argument(parser, "--json", "write the health summary as JSON")
+    add_force_argument(parser)
     parser.add_argument(
         "--storage", choices=STORAGES, default="mcap", help="storage format of the bag (mcap)"
     )
@@ -89,11 +90,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    check_bags([arguments.bag])
     given = given_parameters(arguments, NODE_NAME)
     parameters = build(LocalizerParameters, given)
     if arguments.tf:
         parameters = replace(parameters, publish_tf=True)
-    _check_result_files(arguments)
+    inputs = [arguments.bag, *arguments.params]
+    check_command_results(arguments, ["--save-params", "--json"], [*inputs, arguments.out])
+    refuse_inputs(arguments.out, inputs)
     names = TopicNames(arguments.remappings)
     began = time.monotonic()
     with BagReader(arguments.bag) as bag:
@@ -115,19 +119,10 @@ def run(arguments: argparse.Namespace) -> int:
     print("\n".join([*lines, *(finding_line(finding) for finding in findings)]))
     if arguments.json is not None:
         plain = {**plain_summary(summary), "healthy": healthy}
-        write_json(arguments.json, {**plain, "findings": plain_findings(findings)}, indent=2)
+        arguments.json.write_json({**plain, "findings": plain_findings(findings)}, indent=2)
     if arguments.save_params is not None:
-        write_text(arguments.save_params, _found(summary, arguments.bag.name))
+        arguments.save_params.write(_found(summary, arguments.bag.name))
     return UNHEALTHY if arguments.strict and not healthy else 0
-
-
-def _check_result_files(arguments: argparse.Namespace) -> None:
-    """Refuse files to write that cannot be written, before the work is done."""
-    taken = [arguments.bag, arguments.out, *arguments.params]
-    for option, path in (("--save-params", arguments.save_params), ("--json", arguments.json)):
-        if path is not None:
-            check_result_file(option, path, taken)
-            taken.append(path)
 
 
 def _replay(
@@ -152,7 +147,7 @@ def _replay(
     replaced = _replaced(bag, names.outputs(set(inputs)))
     notes = {NODE_NAME: render_parameter_file(LocalizerParameters, asdict(parameters), NODE_NAME)}
     monitor = HealthMonitor(parameters)
-    with BagWriter(arguments.out, arguments.storage, notes) as out:
+    with BagWriter(arguments.out, arguments.storage, notes, replaces=arguments.force) as out:
         copied = _announce(out, [t for t in bag.topics.values() if t.name not in replaced])
         tf = names.of(messages.TF)
         transforms = ReplayedTransforms(bag, out, parameters, tf) if arguments.tf else None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fnn_ekf_ros.commands.arguments import (
     Range,
+    add_force_argument,
     add_parameter_arguments,
     check_ranges,
     given_parameters,
@@ -20,8 +21,8 @@ from fnn_ekf_ros.parameters.files import render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.matching import matching_localizer
-from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter, file_beside
+from fnn_ekf_ros.parameters.schema import NO_FILE, build
+from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter, file_beside, refuse_inputs
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.simulation.delivery import STEP_NS
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--storage", choices=STORAGES, default="mcap", help="storage format of the bag (mcap)"
     )
+    add_force_argument(parser)
     add_parameter_arguments(parser, FakeRobotParameters)
 
 
@@ -52,6 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
     check_ranges(vars(arguments), {"duration": Range(STEP_NS * 1e-9, LONGEST_S, "s")})
     if parameters.path == "cmd_vel":
         raise FnnEkfError("path 'cmd_vel': simulate has no cmd_vel to listen to; choose a path")
+    inputs = [*arguments.params]
+    if parameters.faults_file != NO_FILE:
+        inputs.append(Path(parameters.faults_file))
+    refuse_inputs(arguments.out, inputs)
     steps = round(arguments.duration * 1e9) // STEP_NS
     text = render_parameter_file(FakeRobotParameters, asdict(parameters), NODE_NAME)
     head = f"Geometry and true noise of the robot in {arguments.out.name}."
@@ -61,7 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     timeline = read_faults(parameters.faults_file)
     notes = {NODE_NAME: text} | ({FAULTS_NOTE: timeline.text} if timeline.text else {})
     robot = FakeRobot(parameters, START_NS, timeline.faults)
-    with BagWriter(arguments.out, arguments.storage, notes, matching) as bag:
+    writer = BagWriter(arguments.out, arguments.storage, notes, matching, replaces=arguments.force)
+    with writer as bag:
         for _ in with_progress(range(steps), steps, "simulate"):
             for sent in robot.step():
                 # Recorded when it is sent, by a clock that no fault sets: readers sort by it.

@@ -8,29 +8,26 @@ modules.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from typing import NamedTuple
 
 from fnn_ekf_ros.commands import study_faults, study_lasting, study_rates, study_real
 from fnn_ekf_ros.commands.arguments import (
+    Count,
     Range,
-    add_folder_argument,
-    add_jobs_argument,
-    add_json_argument,
-    add_parameter_arguments,
-    add_seed_argument,
-    check_ranges,
+    add_study_arguments,
+    check_study_arguments,
     chosen_names,
-    given_jobs,
     given_parameters,
+    runs_count,
 )
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.files.text_files import write_json, write_text
+from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
 from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.reports.progress import with_progress
-from fnn_ekf_ros.reports.result_folder import prepare_study
+from fnn_ekf_ros.reports.results import study_results
 from fnn_ekf_ros.study.filters import ORACLE, StudyFilter, study_filters
 from fnn_ekf_ros.study.monte_carlo import STUDIES, Study
 from fnn_ekf_ros.study.report import tables
@@ -39,8 +36,11 @@ from fnn_ekf_ros.study.trials import Size
 from fnn_ekf_ros.study.trials_in_processes import joined, pieces, work_through
 from fnn_ekf_ros.version import version
 
-RANGES = {"runs": Range(2, 10_000), "steps": Range(10, 100_000), "seed": Range(0, 2**63 - 1)}
-"""Ranges of the options; one run has no confidence interval."""
+COUNTS = (
+    runs_count(100, "number of recordings"),
+    Count("steps", 800, Range(10, 100_000), "periods of 375 ms in each"),
+)
+"""Numbers that a study of trials is asked for."""
 MOST_PERIODS = 2_000_000
 """Largest number of periods of all runs of a trial together: more do not fit into memory."""
 
@@ -66,8 +66,8 @@ OWN_MODULES = {
 """The studies with modules of their own, by name."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
+def add_arguments(parser: argparse.ArgumentParser) -> Mapping[str, argparse.ArgumentParser]:
+    """Declare the command's arguments; return the parsers of the studies."""
     names = parser.add_subparsers(metavar="STUDY", required=True)
     for name, study in STUDIES.items():
         own = names.add_parser(name, help=study.summary, description=study.summary)
@@ -77,26 +77,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         own = names.add_parser(name, help=module.summary, description=module.summary)
         own.set_defaults(study=name)
         module.add_arguments(own)
+    return names.choices
 
 
 def _add_study_arguments(parser: argparse.ArgumentParser, study: Study) -> None:
-    add_folder_argument(parser, "tables, figures and settings")
-    parser.add_argument(
-        "--runs", metavar="N", type=int, default=100, help="number of recordings (100)"
-    )
-    parser.add_argument(
-        "--steps", metavar="N", type=int, default=800, help="periods of 375 ms in each (800)"
-    )
-    add_seed_argument(parser)
+    add_study_arguments(parser, "tables, figures and settings", COUNTS)
     but = f" but {', '.join(study.left_out)}" if study.left_out else ""
     parser.add_argument(
         "--filters",
         metavar="A,B",
         help=f"names of the filters beside {', '.join((ORACLE, *study.always))} (all{but})",
     )
-    add_json_argument(parser)
-    add_jobs_argument(parser)
-    add_parameter_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -104,38 +95,38 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.study in OWN_MODULES:
         return OWN_MODULES[arguments.study].run(arguments)
     study = STUDIES[arguments.study]
-    size, jobs = _size(arguments), given_jobs(arguments)
+    size = _size(arguments)
     given = {**study.defaults, **given_parameters(arguments, LOCALIZER)}
     filters = study_filters(study_localizer(study.paths[0], given))
     names = _filter_names(arguments.filters, filters, study)
     require_matplotlib()
     out = arguments.out
-    numbers = prepare_study(out, ["results.md"], arguments.json, arguments.params)
+    results = study_results(out, arguments.json, arguments.params, replaces=arguments.force)
     made_by = {
         "study": arguments.study, "version": version(), **size._asdict(), "filters": names,
         "parameters": given,
     }  # fmt: skip
-    for path in study.paths:
-        write_settings(out, path, given)
 
     plans = study.plans(size)
     total = len(pieces(plans, names))
-    with closing(work_through(plans, filters, names, jobs)) as work:
+    with closing(work_through(plans, filters, names, arguments.jobs)) as work:
         done = dict(with_progress(work, total, f"study {arguments.study}"))
     outcomes = joined(done, plans, names)
 
     labels = {name: each.label for name, each in filters.items()}
-    write_json(numbers, {**made_by, "results": tables.rows(outcomes)})
     parts = (tables.head(made_by), study.words(outcomes, labels), study.tables(outcomes, labels))
-    write_text(out / "results.md", "\n".join(parts))
-    study.figures(out, outcomes, labels)
+    with results.written({**made_by, "results": tables.rows(outcomes)}) as folder:
+        for path in study.paths:
+            write_settings(folder, path, given)
+        write_text(folder / "results.md", "\n".join(parts))
+        study.figures(folder, outcomes, labels)
     print(f"{out}: {len(plans)} trials of {size.runs} runs, {', '.join([ORACLE, *names])}")
     print(f"{out / 'results.md'}: the tables")
     return 0
 
 
 def _size(arguments: argparse.Namespace) -> Size:
-    check_ranges(vars(arguments), RANGES)
+    check_study_arguments(arguments, COUNTS)
     if arguments.runs * arguments.steps > MOST_PERIODS:
         raise FnnEkfError(
             f"--runs {arguments.runs} --steps {arguments.steps}: expected {MOST_PERIODS} periods "

@@ -6,19 +6,17 @@
 import argparse
 
 from fnn_ekf_ros.commands.arguments import (
+    Count,
     Range,
-    add_folder_argument,
-    add_jobs_argument,
-    add_parameter_arguments,
-    add_seed_argument,
+    add_study_arguments,
     check_ranges,
+    check_study_arguments,
     chosen_names,
-    given_jobs,
     given_parameters,
 )
-from fnn_ekf_ros.files.text_files import write_json, write_text
+from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.parameters.localizer import NODE_NAME as LOCALIZER
-from fnn_ekf_ros.reports.result_folder import prepare_study
+from fnn_ekf_ros.reports.results import study_results
 from fnn_ekf_ros.study.fault_naming import NAMING_CASES, PATHS, FaultCase
 from fnn_ekf_ros.study.fault_runs import FaultPlan, run_faults, setting_of
 from fnn_ekf_ros.study.report.fault_tables import (
@@ -35,38 +33,30 @@ NAME = "faults"
 """Name of the subcommand."""
 SUMMARY = "faults of one sensor at a time: which sensor diagnostics name, and how soon"
 """Its line in `study --help`."""
-RANGES = {
-    "runs": Range(1, 1000),
-    "quiet_runs": Range(0, 1000),
-    "quiet_seconds": Range(1.0, 3600.0, "s"),
-    "seed": Range(0, 2**31 - 1),
-}
-"""Ranges of the options."""
+COUNTS = (
+    Count("runs", 20, Range(1, 1000), "runs of each fault"),
+    Count("quiet-runs", 10, Range(0, 1000), "runs without a fault, of each path and start"),
+)
+"""Numbers that the study is asked for."""
+QUIET_SECONDS = Range(1.0, 3600.0, "s")
+"""Range of `--quiet-seconds`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
-    add_folder_argument(parser, "tables and numbers")
-    parser.add_argument("--runs", metavar="N", type=int, default=20, help="runs of each fault (20)")
-    parser.add_argument(
-        "--quiet-runs", metavar="N", type=int, default=10,
-        help="runs without a fault, of each path and start (10)",
-    )  # fmt: skip
+    add_study_arguments(parser, "tables and numbers", COUNTS)
     parser.add_argument(
         "--quiet-seconds", metavar="S", type=float, default=300.0,
         help="length of the runs without a fault [s] (300)",
     )  # fmt: skip
-    add_seed_argument(parser)
     names = ", ".join(case.name for case in NAMING_CASES)
     parser.add_argument("--faults", metavar="A,B", help=f"some of {names} (all)")
-    add_jobs_argument(parser)
-    add_parameter_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    check_ranges(vars(arguments), RANGES)
-    jobs = given_jobs(arguments)
+    check_study_arguments(arguments, COUNTS)
+    check_ranges(vars(arguments), {"quiet_seconds": QUIET_SECONDS})
     plan = FaultPlan(
         cases=_cases(arguments.faults),
         runs=arguments.runs,
@@ -77,20 +67,20 @@ def run(arguments: argparse.Namespace) -> int:
     )
     setting_of(PATHS[0], 0, RIGHT, plan.given)  # refuses wrong parameters before any work
     out = arguments.out
-    numbers = prepare_study(out, ["results.md"])
+    results = study_results(out, arguments.json, arguments.params, replaces=arguments.force)
     made_by = {
         "study": NAME, "version": version(), "runs": plan.runs, "quiet_runs": plan.quiet_runs,
         "quiet_seconds": plan.quiet_seconds, "seed": plan.seed,
         "faults": [case.name for case in plan.cases], "parameters": plan.given,
     }  # fmt: skip
-    named, quiet = run_faults(plan, jobs)
+    named, quiet = run_faults(plan, arguments.jobs)
     content = {
         **made_by,
         "results": [naming_numbers(naming) for naming in named],
         "quiet": [quiet_numbers(*each) for each in quiet],
     }
-    write_json(numbers, content)
-    write_text(out / "results.md", head(made_by) + fault_tables(plan.cases, named, quiet))
+    with results.written(content) as folder:
+        write_text(folder / "results.md", head(made_by) + fault_tables(plan.cases, named, quiet))
     print(f"{out}: {shares(named)}")
     print(f"{out / 'results.md'}: the tables")
     return 0

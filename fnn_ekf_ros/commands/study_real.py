@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from fnn_ekf_ros.commands.arguments import (
-    add_folder_argument,
-    add_json_argument,
     add_parameter_arguments,
     add_remapping_argument,
+    add_study_results,
     chosen_names,
     given_parameters,
 )
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.files.text_files import write_json, write_text
+from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.parameters.files import (
     parse_assignment,
     read_parameter_file,
@@ -25,10 +24,10 @@ from fnn_ekf_ros.parameters.files import (
 )
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, build
-from fnn_ekf_ros.recordings.bag_files import STORAGE_SUFFIXES
+from fnn_ekf_ros.recordings.bag_files import STORAGE_SUFFIXES, check_bags
 from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.reports.pictures import require_matplotlib
-from fnn_ekf_ros.reports.result_folder import prepare_study
+from fnn_ekf_ros.reports.results import study_results
 from fnn_ekf_ros.study.ablations import real_filters
 from fnn_ekf_ros.study.filters import EKF, EKF_GATED, FIXED, JOINT, SET_BY_NAMES
 from fnn_ekf_ros.study.real import batch_start
@@ -52,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bags", metavar="BAG", type=Path, nargs="+",
         help="recordings; NAME.yaml beside NAME holds its localizer parameters",
     )  # fmt: skip
-    add_folder_argument(parser, "tables, figures and settings")
+    add_study_results(parser, "tables, figures and settings")
     parser.add_argument(
         "--truth-topic",
         default="/ground_truth",
@@ -69,13 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what the filters that adapt start with, noise and how much of the errors lasts: what "
         "each of their starts learned on this recording, or what a localizer's state_file holds",
     )  # fmt: skip
-    add_json_argument(parser)
     add_parameter_arguments(parser)
     add_remapping_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    check_bags(arguments.bags)
     require_matplotlib()
     for text in arguments.assignments:
         name, _ = parse_assignment(text)
@@ -102,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     inputs = [*arguments.bags, *arguments.params]
     if arguments.state_file is not None:
         inputs.append(arguments.state_file)
-    numbers = prepare_study(out, ["results.md"], arguments.json, inputs)
+    places = study_results(out, arguments.json, inputs, replaces=arguments.force)
 
     made_by = {
         "study": NAME, "version": version(), "filters": names[len(FIXED) :],
@@ -114,13 +113,13 @@ def run(arguments: argparse.Namespace) -> int:
         "summary": across_numbers(results),
         "bags": [rows(result) for result in results],
     }
-    write_json(numbers, content)
-    write_text(out / "results.md", real_tables(made_by, results))
-    for recording, result in zip(recordings, results, strict=True):
-        values = asdict(recording.parameters)
-        text = render_parameter_file(LocalizerParameters, values, NODE_NAME)
-        write_text(out / f"localizer_{result.label}.yaml", text)
-        draw_real(out / f"real_{result.label}.png", result)
+    with places.written(content) as folder:
+        write_text(folder / "results.md", real_tables(made_by, results))
+        for recording, result in zip(recordings, results, strict=True):
+            values = asdict(recording.parameters)
+            text = render_parameter_file(LocalizerParameters, values, NODE_NAME)
+            write_text(folder / f"localizer_{result.label}.yaml", text)
+            draw_real(folder / f"real_{result.label}.png", result)
     print(f"{out}: {', '.join(labels)} from {len(ALL_CELLS)} starts, {', '.join(names)}")
     print(f"{out / 'results.md'}: the tables")
     return 0

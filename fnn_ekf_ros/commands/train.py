@@ -9,16 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from fnn_ekf_ros.commands.arguments import Range, check_ranges
+from fnn_ekf_ros.commands.arguments import (
+    Range,
+    add_force_argument,
+    add_text_argument,
+    check_command_results,
+    check_ranges,
+)
 from fnn_ekf_ros.core.adaptation import FuzzyNetwork
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.files.text_files import write_json
-from fnn_ekf_ros.membership.files import PACKAGED, read_membership, write_membership
+from fnn_ekf_ros.membership.files import PACKAGED, read_membership, render_membership
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import default_of
 from fnn_ekf_ros.reports import membership_figure
 from fnn_ekf_ros.reports.pictures import require_matplotlib
-from fnn_ekf_ros.reports.result_folder import check_result_file, make_folder
+from fnn_ekf_ros.reports.results import check_result_folder, result_folder
 from fnn_ekf_ros.training import figures
 from fnn_ekf_ros.training.lessons import SUBJECTS, Lesson, Subject, learn
 
@@ -51,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             {name: f"{subject.rate:g}" for name, subject in SUBJECTS.items()},
         )
     )
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="file to write")
+    add_text_argument(parser, "--out", "write the membership functions", required=True)
     parser.add_argument(
         "--network", choices=tuple(SUBJECTS), default="paper",
         help="the network to train: that of modes r, q and rq, or that of mode joint (paper)",
@@ -78,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plots", metavar="DIR", type=Path,
         help="folder for membership.png, change.png, loss.png and training.json",
     )  # fmt: skip
+    add_force_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -94,11 +101,12 @@ def run(arguments: argparse.Namespace) -> int:
     count = len(lesson.inputs)
     summary = f"{count} pairs {subject.pairs}; loss {losses[0]:.6g} before, {losses[-1]:.6g} after"
     notes = [f"Learned by: train {options}", f"{summary} {facts['epochs']} epochs."]
-    write_membership(arguments.out, after, notes, subject.argument)
+    arguments.out.write(render_membership(after, notes, subject.argument))
     if arguments.plots is not None:
-        _draw(arguments.plots, subject, lesson, facts["initial"], before, after, losses)
-        written = facts | {"pairs": count, "loss": losses}
-        write_json(arguments.plots / "training.json", written, indent=2)
+        with result_folder(arguments.plots, "--plots") as folder:
+            _draw(folder, subject, lesson, facts["initial"], before, after, losses)
+            written = facts | {"pairs": count, "loss": losses}
+            write_json(folder / "training.json", written, indent=2)
     print(summary)
     print(
         f"{arguments.out}: membership functions; use it with {subject.parameter}:={arguments.out} "
@@ -151,13 +159,11 @@ def _facts(arguments: argparse.Namespace, subject: Subject) -> dict[str, Any]:
 
 def _check(arguments: argparse.Namespace, facts: dict[str, Any]) -> None:
     check_ranges(facts, RANGES)
-    others = []
+    others = [] if facts["initial"] in PACKAGED else [Path(facts["initial"])]
     if arguments.plots is not None:
         pictures = [arguments.plots / name for name in PLOTS]
-        others = [*pictures, arguments.plots, *arguments.plots.absolute().parents]
-    check_result_file("--out", arguments.out, others)
+        others += [*pictures, arguments.plots, *arguments.plots.absolute().parents]
+    check_command_results(arguments, ["--out"], others)
     if arguments.plots is not None:
         require_matplotlib()
-        make_folder(arguments.plots, "--plots")
-        for path in pictures:
-            check_result_file("--plots", path)
+        check_result_folder("--plots", arguments.plots, replaces=arguments.force, names=PLOTS)

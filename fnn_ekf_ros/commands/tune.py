@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from fnn_ekf_ros.commands.arguments import (
+    add_force_argument,
     add_parameter_arguments,
     add_remapping_argument,
+    add_text_argument,
+    check_command_results,
     given_parameters,
 )
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.files.text_files import write_json, write_text
 from fnn_ekf_ros.parameters.files import read_parameter_file, render_parameter_file
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.recordings.bag_files import check_bags
 from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.reports.pictures import require_matplotlib
-from fnn_ekf_ros.reports.result_folder import check_result_file
 from fnn_ekf_ros.reports.tuning_figure import ProfilePanel, draw_profiles
 from fnn_ekf_ros.study.real import batch_start
 from fnn_ekf_ros.study.real_bags import read_periods
@@ -41,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bags", metavar="BAG", type=Path, nargs="+",
         help="recordings of one robot; NAME.yaml beside NAME holds its localizer parameters",
     )  # fmt: skip
-    parser.add_argument(
-        "--output", metavar="FILE", type=Path, help="write the localizer's parameters here (YAML)"
-    )
+    add_text_argument(parser, "--output", "write the localizer's parameters (YAML)")
     parser.add_argument(
         "--calibrate", action="store_true",
         help="find wheel radius, separation, compass offset and delays, too",
@@ -51,14 +51,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="PNG", type=Path, help="draw how well each quantity is known"
     )
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write the numbers as JSON")
+    add_text_argument(parser, "--json", "write the numbers as JSON")
+    add_force_argument(parser)
     add_parameter_arguments(parser)
     add_remapping_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
-    _check_results(arguments)
+    check_bags(arguments.bags)
+    inputs = [*arguments.bags, *arguments.params]
+    check_command_results(arguments, ["--output", "--plot", "--json"], inputs)
+    if arguments.plot is not None:
+        require_matplotlib()
     recordings = _read(arguments)
     passes = _Passes()
     tuned = tune(recordings, calibrates=arguments.calibrate, progress=passes)
@@ -74,22 +79,6 @@ def run(arguments: argparse.Namespace) -> int:
     print("\n" + "\n".join(said))
     _write(arguments, labels, tuned, shown, said)
     return 0
-
-
-def _check_results(arguments: argparse.Namespace) -> None:
-    """Check that all results can be written.
-
-    Raises:
-        FnnEkfError: one cannot.
-    """
-    others = [*arguments.bags, *arguments.params]
-    for option in ("output", "plot", "json"):
-        path = getattr(arguments, option)
-        if path is not None:
-            check_result_file(f"--{option}", path, others)
-            others.append(path)
-    if arguments.plot is not None:
-        require_matplotlib()
 
 
 def _read(arguments: argparse.Namespace) -> list[TuningRecording]:
@@ -151,10 +140,10 @@ def _write(
     if arguments.output is not None:
         head = "\n".join([f"Parameters for {labels}, found by tune ({version()}).", *said])
         text = render_parameter_file(LocalizerParameters, asdict(tuned.after), NODE_NAME, head)
-        write_text(arguments.output, text)
+        arguments.output.write(text)
         print(f"{arguments.output}: the parameters")
     if arguments.json is not None:
-        write_json(arguments.json, _numbers(labels, tuned, said))
+        arguments.json.write_json(_numbers(labels, tuned, said))
     if arguments.plot is not None:
         draw_profiles(arguments.plot, labels, list(_panels(tuned, shown)))
         print(f"{arguments.plot}: the log likelihood along each quantity")

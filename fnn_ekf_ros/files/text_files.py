@@ -67,7 +67,12 @@ def write_json(path: Path, content: Any, indent: int = 1) -> None:
     Raises:
         FnnEkfError: the file cannot be written.
     """
-    write_text(path, json.dumps(content, indent=indent, allow_nan=False) + "\n")
+    write_text(path, json_text(content, indent))
+
+
+def json_text(content: Any, indent: int = 1) -> str:
+    """Return the text of a JSON file; no number in it is NaN or infinite."""
+    return json.dumps(content, indent=indent, allow_nan=False) + "\n"
 
 
 @contextmanager

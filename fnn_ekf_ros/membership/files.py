@@ -13,7 +13,7 @@ from fnn_ekf_ros.core.adaptation import FuzzyNetwork, Networks
 from fnn_ekf_ros.core.fuzzy import FuzzySets
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.files.fields import Fields
-from fnn_ekf_ros.files.text_files import read_text, write_text
+from fnn_ekf_ros.files.text_files import read_text
 from fnn_ekf_ros.files.yaml_text import load_yaml
 from fnn_ekf_ros.parameters.localizer import SAME_FILE, LocalizerParameters
 
@@ -113,23 +113,6 @@ def _read(text: str, label: str) -> FuzzyNetwork:
     except MembershipError as error:
         raise MembershipError(f"{error}; mend or {REMEDY}") from None
     return _network(label, content)
-
-
-def write_membership(
-    path: Path, network: FuzzyNetwork, notes: Sequence[str], argument: str = MISMATCH
-) -> None:
-    """Write a membership file, completely or not at all.
-
-    Args:
-        path: the file.
-        network: membership functions with their units.
-        notes: lines on their origin.
-        argument: argument of the functions, `MISMATCH` or `EXPLAINED`.
-
-    Raises:
-        FnnEkfError: the file cannot be written.
-    """
-    write_text(path, render_membership(network, notes, argument))
 
 
 def render_membership(network: FuzzyNetwork, notes: Sequence[str], argument: str = MISMATCH) -> str:

@@ -6,7 +6,7 @@
 import os
 import shutil
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,10 +38,11 @@ class BagWriter:
     process that is killed leaves behind.
 
     Args:
-        path: the bag's folder; must not exist.
+        path: the bag's folder; must not exist, unless it is a bag and is replaced.
         storage: one of `STORAGES`.
         notes: texts to keep in the bag's metadata, such as the parameters that made it.
         beside: text of a file to go with the bag, `NAME.yaml` beside `NAME`; empty for none.
+        replaces: whether a bag that is there is replaced, once the new one is complete.
 
     Raises:
         BagError: the path exists or cannot be written to.
@@ -53,13 +54,16 @@ class BagWriter:
         storage: str = "mcap",
         notes: Mapping[str, str] = {},
         beside: str = "",
+        *,
+        replaces: bool = False,
     ) -> None:
         self.path = path
-        refuse_existing(path)
+        refuse_existing(path, replaces=replaces)
         self._results = [path]
         if beside:
-            refuse_existing(file_beside(path))
+            refuse_existing(file_beside(path), replaces=replaces)
             self._results.append(file_beside(path))
+        self._replaces = replaces
         self._storage, self._notes, self._beside = storage, notes, beside
         self._connections: dict[str, Connection] = {}
 
@@ -154,6 +158,7 @@ class BagWriter:
     ) -> None:
         """Put the bag in its place, or leave nothing if something went wrong."""
         placed: list[Path] = []
+        replaced: dict[Path, Path] = {}
         try:
             if error is not None:
                 with suppress(Exception):
@@ -161,12 +166,20 @@ class BagWriter:
                 return
             self._writer.close()
             for result in self._results:
-                refuse_existing(result)
+                refuse_existing(result, replaces=self._replaces)
+                if os.path.lexists(result):
+                    old = Path(self._work.name) / f"{len(replaced)}.old"
+                    result.rename(old)
+                    replaced[result] = old
                 (Path(self._work.name) / result.name).rename(result)
                 placed.append(result)
-        except Exception as failure:  # the storages raise errors of many kinds
+        except BaseException as failure:  # the storages raise errors of many kinds; a signal
             for result in placed:
                 shutil.rmtree(result, ignore_errors=True)
+            for result, old in replaced.items():
+                old.rename(result)
+            if not isinstance(failure, Exception):
+                raise
             if isinstance(failure, BagError):
                 raise
             raise self._broken(failure) from None
@@ -202,8 +215,12 @@ def file_beside(bag: Path) -> Path:
     return named.with_name(f"{named.name}.yaml")
 
 
-def refuse_existing(path: Path) -> None:
+def refuse_existing(path: Path, *, replaces: bool = False) -> None:
     """Check that a result can get its name.
+
+    Args:
+        path: of the result, a bag or the file beside it.
+        replaces: whether a bag that is there may be replaced, or such a file.
 
     Raises:
         BagError: something has it, its folder does not exist or is itself a bag, or it is none.
@@ -212,12 +229,30 @@ def refuse_existing(path: Path) -> None:
     if path.name in ("", "..") or not path.name.isprintable() or len(os.fsencode(path.name)) > 200:
         raise BagError(f"{shown} cannot be the name of a result: choose another")
     if os.path.lexists(path):
-        raise BagError(f"{shown} exists already: choose another name, or remove it first")
+        if not replaces:
+            raise BagError(f"{shown} exists already: choose another name, or --force to replace it")
+        is_bag = (path / "metadata.yaml").is_file()
+        if path.is_symlink() or not (is_bag or (path.is_file() and path.suffix == ".yaml")):
+            raise BagError(f"{shown} is there and no bag: --force replaces nothing else")
     folder = path.absolute().parent
     if not folder.is_dir():
         raise BagError(f"{shown} cannot be written: folder '{path.parent}' does not exist")
     if (folder / "metadata.yaml").exists():
         raise BagError(f"{shown} would lie inside the bag '{path.parent}': choose another place")
+
+
+def refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
+    """Check that a bag that is to be written, and the file beside it, hold no input.
+
+    Raises:
+        BagError: an input has its name, or is in it.
+    """
+    results = [path, file_beside(path)] if path.name else [path]
+    places = {os.path.realpath(result) for result in results}
+    for each in inputs:
+        real = Path(os.path.realpath(each))
+        if places & {str(place) for place in (real, *real.parents)}:
+            raise BagError(f"'{path}' would replace the input '{each}': choose another name")
 
 
 def _built(message: Message) -> Any:

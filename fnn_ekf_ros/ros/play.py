@@ -13,7 +13,7 @@ from typing import Any
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.errors import FnnEkfError
-from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Topic
+from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Topic, check_bags
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import ros_started
@@ -88,6 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command."""
+    check_bags([arguments.bag])
     _check(arguments)
     with BagReader(arguments.bag) as bag, ros_started([], NODE_NAME):
         if arguments.clock:

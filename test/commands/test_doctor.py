@@ -26,7 +26,8 @@ GEOMETRY = [
 def report(path: Path, *words: object) -> dict[str, Any]:
     """Return the JSON of a run, and whether its exit code says that replay would work."""
     result = path.with_suffix(".json")
-    code = cli.run_command("doctor", [str(path), "--json", str(result), *map(str, words)])
+    words = ("--json", result, "--force", *words)
+    code = cli.run_command("doctor", [str(path), *map(str, words)])
     content: dict[str, Any] = json.loads(result.read_text())
     assert code == (0 if content["replay_works"] else 1)
     return content

@@ -60,8 +60,8 @@ def test_an_exact_arc_imported_replayed_and_evaluated(tmp_path: Path, succeed: S
     assert not parameters.lrf_use_yaw
     words = ["--params", tmp_path / "bag.yaml"]
     succeed("replay", tmp_path / "bag", tmp_path / "out", *words)
-    succeed("evaluate", tmp_path / "out", "--labels", "arc", "--json", tmp_path / "arc.json")
-    arc = json.loads((tmp_path / "arc.json").read_text())["arc"]
+    succeed("evaluate", tmp_path / "out", "--labels", "arc", "--json", tmp_path / "errors.json")
+    arc = json.loads((tmp_path / "errors.json").read_text())["arc"]
     assert arc["count"] > 100
     # Truth is interpolated linearly between samples 2 cm apart, on a radius of 1.6 m: 31 um.
     assert arc["rmse_position"] < 1e-4

@@ -208,8 +208,10 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, refuse: Refuse) -> None:
 @pytest.mark.parametrize("name", ["results.json", "results.md"])
 def test_a_folder_in_the_place_of_a_result(tmp_path: Path, refuse: Refuse, name: str) -> None:
     (tmp_path / name).mkdir()
-    assert f"{name}': is a folder" in refuse("study", "dynamic", "--out", tmp_path, *TINY)
-    assert f"{name}': is a folder" in refuse("study", "faults", "--out", tmp_path)
+    assert f"{name}': is a folder" in refuse(
+        "study", "dynamic", "--out", tmp_path, "--force", *TINY
+    )
+    assert f"{name}': is a folder" in refuse("study", "faults", "--out", tmp_path, "--force")
 
 
 @pytest.mark.parametrize("name", ["results.md", "localizer_round.yaml", "dynamic.png"])

@@ -17,7 +17,7 @@ from localizers import make_parameters
 from fnn_ekf_ros.commands.train import EPOCHS
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.fuzzy import infer
-from fnn_ekf_ros.membership.files import networks_for, read_membership, write_membership
+from fnn_ekf_ros.membership.files import networks_for, read_membership, render_membership
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.study.filters import run as run_filter
 from fnn_ekf_ros.study.recording import Start
@@ -165,7 +165,7 @@ def test_training_starts_from_a_file_and_replay_takes_the_result(
     tmp_path: Path, succeed: Succeed, recorded: Path, few_robots: None
 ) -> None:
     initial, copied, other = (tmp_path / name for name in ("initial", "copied", "other"))
-    write_membership(tmp_path / "copy", read_membership("initial"), [])
+    (tmp_path / "copy").write_text(render_membership(read_membership("initial"), []))
     for out, start in ((initial, "initial"), (copied, tmp_path / "copy"), (other, "published")):
         succeed("train", "--out", out, "--epochs", 10, "--initial", start)
     of_initial, of_copy, of_published = map(read_membership, map(str, (initial, copied, other)))

@@ -128,7 +128,7 @@ def localizer_of(parameters: LocalizerParameters, start: SavedState | None = Non
     return Localizer(parameters, networks_for(parameters), warm_start=start)
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(any_parameters())
 def test_a_state_that_is_saved_while_waiting_can_be_read(parameters: LocalizerParameters) -> None:
     """From the given pose, and again from the file: the pose is the given one but for turns."""
@@ -146,7 +146,7 @@ def test_a_state_that_is_saved_while_waiting_can_be_read(parameters: LocalizerPa
 
 
 @pytest.mark.slow
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(any_parameters(), st.floats(1e-4, 1e3))
 def test_a_state_that_is_saved_on_the_way_can_be_read(
     parameters: LocalizerParameters, std: float

@@ -163,8 +163,9 @@ def test_whole_frames_are_unpacked_whatever_their_number() -> None:
         mcap.DECOMPRESSORS["zstd"](data[:-3], 8)
 
 
-@pytest.mark.parametrize("name", ["bag.mcap", "metadata.yaml", "another"])
-@pytest.mark.parametrize("kind", ["fifo", "device"])
+@pytest.mark.parametrize(
+    ("name", "kind"), [("bag.mcap", "fifo"), ("metadata.yaml", "fifo"), ("another", "device")]
+)
 def test_nothing_waits_for_what_is_no_file(tmp_path: Path, name: str, kind: str) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.write("/left_ticks", Message(messages.TICKS_TYPE, {"data": 1}), 1)

@@ -328,7 +328,7 @@ def test_recordings_are_not_replaced(tmp_path: Path, refuse: Refuse, recorded: P
 def test_bags_that_are_refused(tmp_path: Path, refuse: Refuse, recorded: Path) -> None:
     out = ("--out", tmp_path / "out")
     assert "expected bags of different names" in refuse("study", "real", recorded, recorded, *out)
-    assert "wheel_radius" in refuse("study", "real", tmp_path / "missing", *out)
+    assert "missing' does not exist" in refuse("study", "real", tmp_path / "missing", *out)
     geometry = ("--params", recorded.with_name("recorded.yaml"))
     said = refuse("study", "real", tmp_path / "missing", *out, *geometry)
     assert f"bag '{tmp_path / 'missing'}' does not exist" in said

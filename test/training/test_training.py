@@ -18,7 +18,6 @@ from fnn_ekf_ros.membership.files import (
     MembershipError,
     read_membership,
     render_membership,
-    write_membership,
 )
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.paper import MEASUREMENT_STD, SIMULATION_1_STD
@@ -304,7 +303,7 @@ def test_a_written_file_is_read_bit_for_bit(tmp_path: Path) -> None:
         values = np.abs(rng.standard_normal(15)) * 10.0 ** rng.uniform(-12.0, 12.0, 15)
         network = FuzzyNetwork(FuzzySets(*values[:12].tolist()), *values[12:].tolist())
         path = tmp_path / f"{number}.yaml"
-        write_membership(path, network, ["seed 3", "loss 1 before"])
+        path.write_text(render_membership(network, ["seed 3", "loss 1 before"]))
         assert read_membership(str(path)) == network
         assert "# seed 3\n" in path.read_text()
     assert len(list(tmp_path.iterdir())) == 50
