@@ -13,12 +13,11 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.parameters.fake_robot import NODE_NAME, FakeRobotParameters
 from fnn_ekf_ros.parameters.fault_files import read_faults
 from fnn_ekf_ros.parameters.faults import Fault
-from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.runtime import (
     as_overrides,
+    checked_parameters,
     declare,
-    parameters_from_ros,
     ros_started,
     spin_until_stopped,
 )
@@ -144,6 +143,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
-        parameters = build(FakeRobotParameters, parameters_from_ros(NODE_NAME))
+        parameters = checked_parameters(FakeRobotParameters, ros_arguments, NODE_NAME)
         faults = read_faults(parameters.faults_file).faults
         return spin_until_stopped(lambda: FakeRobotNode(parameters, faults))

@@ -18,7 +18,6 @@ from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.outputs import output_messages
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
-from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.event_group import EventGroup
@@ -27,8 +26,8 @@ from fnn_ekf_ros.ros.pace import LOOKS_PER_PERIOD, Pace
 from fnn_ekf_ros.ros.runtime import (
     LOG_INTERVAL_S,
     as_overrides,
+    checked_parameters,
     declare,
-    parameters_from_ros,
     ros_started,
     spin_until_stopped,
 )
@@ -222,6 +221,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(ros_arguments: Sequence[str]) -> int:
     """Run the node until it is stopped; returns the exit code."""
     with ros_started(ros_arguments, NODE_NAME):
-        parameters = build(LocalizerParameters, parameters_from_ros(NODE_NAME))
+        parameters = checked_parameters(LocalizerParameters, ros_arguments, NODE_NAME)
         networks = networks_for(parameters)
         return spin_until_stopped(lambda: LocalizerNode(parameters, networks))

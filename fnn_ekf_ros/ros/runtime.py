@@ -4,10 +4,11 @@
 """The common part of all nodes of the package: start, parameters, spin, stop."""
 
 import itertools
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.files import (
@@ -15,7 +16,7 @@ from fnn_ekf_ros.parameters.files import (
     read_parameter_file,
     refuse_what_ros_refuses,
 )
-from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, fields_of
+from fnn_ekf_ros.parameters.schema import ParameterError, Parameters, build, fields_of
 from fnn_ekf_ros.stopping import STOPPED
 
 try:
@@ -36,6 +37,8 @@ LOG_INTERVAL_S = 10.0
 """A trouble that lasts is logged this often [s]."""
 SIGNAL_INTERVAL_S = 0.2
 """A node sees a signal at the latest after this time [s]."""
+ParametersT = TypeVar("ParametersT", bound=Parameters)
+"""A dataclass of parameters."""
 
 
 def check_ros_arguments(argv: Sequence[str], node_name: str) -> None:
@@ -95,6 +98,41 @@ def parameters_from_ros(node_name: str) -> dict[str, Any]:
         return {name: plain(entry.value) for name, entry in found.items()}
     finally:
         probe.destroy_node()
+
+
+def checked_parameters(
+    kind: type[ParametersT], ros_arguments: Sequence[str], node_name: str
+) -> ParametersT:
+    """Return the parameter set that the ROS arguments hold for a node.
+
+    Args:
+        kind: the set.
+        ros_arguments: with which ROS was started.
+        node_name: the node's name, if they give it no other.
+
+    Raises:
+        ParameterError: a parameter is wrong or not set; files for other nodes are named.
+    """
+    try:
+        return build(kind, parameters_from_ros(node_name))
+    except ParameterError as error:
+        said = [str(error), *_files_for_others(ros_arguments, node_name)]
+        raise ParameterError("; ".join(said)) from None
+
+
+def _files_for_others(ros_arguments: Sequence[str], node_name: str) -> Iterator[str]:
+    """Yield a sentence for each parameter file that ROS passes over because of the node's name."""
+    pairs = list(itertools.pairwise(ros_arguments))
+    for option, value in pairs:
+        renamed = re.search(r"(?:^|:)__node:=(\w+)$", value)
+        if option in ("-r", "--remap") and renamed:
+            node_name = renamed[1]
+    for option, value in pairs:
+        if option == "--params-file":
+            try:
+                read_parameter_file(Path(value), node_name)
+            except ParameterError as error:
+                yield str(error)
 
 
 def as_overrides(parameters: Parameters) -> list[Parameter]:

@@ -81,7 +81,7 @@ def test_a_broken_state_is_a_cold_start_and_said(
     bench: MakeBench, file: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file.write_text("format_version: 1\n")
-    (file.parent / ".state.yaml.4711").write_text("format_v")
+    (file.parent / ".state.yaml.0123456789ab").write_text("format_v")
     opened = bench("-p", f"state_file:={file}", "-p", "warm_start:=true", *START)
     warnings = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
     assert len(warnings) == 2

@@ -328,6 +328,23 @@ def test_wrong_parameters_end_the_node_with_one_line(
     assert expected in lines[0]
 
 
+@pytest.mark.parametrize(("name", "renamed"), [("fnn_localizer", ""), ("localizer", "other")])
+def test_a_parameter_file_for_a_node_of_another_name_is_named(
+    run: Callable[..., Any], ros_environment: None, tmp_path: Path, name: str, renamed: str
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"{name}:\n  ros__parameters:\n    wheel_radius: 0.1\n")
+    remap = ["-r", f"__node:={renamed}"] if renamed else []
+    ended = run("localizer", "--ros-args", "--params-file", file, *remap)
+    assert ended.code == 1
+    (line,) = ended.err.splitlines()
+    node = renamed or "localizer"
+    assert line.endswith(
+        f"; parameter file '{file}' has no section for {node}, but for /{name}: expected "
+        f"'/**/{node}:' or '/**:'; rename the section"
+    )
+
+
 def test_integers_count_as_floats(
     processes: Any, listener: Listener, patiently: Callable[..., None]
 ) -> None:

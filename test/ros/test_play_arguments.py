@@ -1,12 +1,12 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the command play refuses before it looks at the recording."""
+"""What the command play refuses before it plays."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
+from places import BAGS
 
 from fnn_ekf_ros import messages
 
@@ -14,11 +14,9 @@ LONG = 300 * "a"
 
 
 @pytest.mark.parametrize("name", ["", "/", "a b", "1x", LONG, "a//b", "a/", "a\n", "a-b", "~", "é"])
-def test_a_name_that_ros_does_not_allow(
-    tmp_path: Path, refuse: Callable[..., str], name: str
-) -> None:
+def test_a_name_that_ros_does_not_allow(refuse: Callable[..., str], name: str) -> None:
     pytest.importorskip("rclpy")
-    line = refuse("play", tmp_path / "bag", "--keep-pace-with", name)
+    line = refuse("play", BAGS / "round", "--keep-pace-with", name)
     assert line == f"play: --keep-pace-with {name[:80]!r}: expected a topic's name"
 
 
