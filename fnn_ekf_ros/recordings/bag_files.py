@@ -301,14 +301,15 @@ class BagReader:
             for time_ns in sorted(sizes):
                 unpacked += sizes[time_ns]
                 if unpacked > _LARGEST_OPEN:
-                    raise TooLargeError
+                    raise TooLargeError(
+                        f"chunks of the same time have more than {_LARGEST_OPEN} bytes"
+                    )
 
     def _broken(self, error: Exception) -> BagError:
         if isinstance(error, TooLargeError):
             return BagError(
-                f"bag '{self.path}' cannot be read: chunks of it that belong together unpack to "
-                f"more than {LARGEST_CHUNK // 2**20} MiB; if it is no damaged file, "
-                "`mcap filter --chunk-size 4194304` writes smaller ones"
+                f"bag '{self.path}' cannot be unpacked: {error}; it is damaged or made to "
+                "fill the memory, or `mcap filter --chunk-size 4194304` writes smaller chunks"
             )
         for path in _files_of(self.path):
             if _breaks_off(path):

@@ -6,8 +6,9 @@
 What rosbags unpacks is bounded here: a chunk of 200 kB can hold 6 GB of zeros.
 """
 
+import os
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, BinaryIO, Self
 
 from fnn_ekf_ros.errors import FnnEkfError
 
@@ -51,8 +52,13 @@ LARGEST_CHUNK = 2**28
 MB, and the largest messages, point clouds and maps, have some ten MB."""
 
 
+_LARGEST_RATIO = 1000
+"""Largest ratio to which a compressed file is unpacked on the disk, if it is more than a chunk:
+messages of robots are compressed to a half or a tenth."""
+
+
 class TooLargeError(Exception):
-    """A chunk or a message that would be unpacked to more than `LARGEST_CHUNK`."""
+    """What would be unpacked to more than a recording has; the text says what."""
 
 
 def _unpacked(decompressor: Any, data: bytes, limit: int) -> bytes:
@@ -68,21 +74,53 @@ def _unpacked(decompressor: Any, data: bytes, limit: int) -> bytes:
         EOFError: the last frame is incomplete.
     """
     parts: list[bytes] = []
-    room = min(limit, LARGEST_CHUNK)
+    limit = min(limit, LARGEST_CHUNK)
+    room = limit
     while data:
         frame = decompressor()
         parts.append(frame.decompress(data, max_length=room + 1))
         room -= len(parts[-1])
         if room < 0:
-            raise TooLargeError
+            raise TooLargeError(f"a chunk or a message has more than {limit} bytes")
         if not frame.eof:
             raise EOFError("a compressed chunk or message breaks off")
         data = frame.unused_data or b""
     return b"".join(parts)
 
 
+class _BoundedFile:
+    """A compressed file that is read block by block, up to a size.
+
+    Args:
+        file: the compressed file.
+    """
+
+    def __init__(self, file: BinaryIO, _mode: str) -> None:
+        self._file = mcap.zstd.open(file, "rb")  # type: ignore[attr-defined]
+        self._largest = max(LARGEST_CHUNK, _LARGEST_RATIO * os.fstat(file.fileno()).st_size)
+        self._room = self._largest
+
+    def read(self, size: int) -> bytes:
+        """Return the next block.
+
+        Raises:
+            TooLargeError: it is beyond the size.
+        """
+        block = bytes(self._file.read(size))
+        self._room -= len(block)
+        if self._room < 0:
+            raise TooLargeError(f"a compressed file has more than {self._largest} bytes")
+        return block
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
 def _bound_what_is_unpacked() -> None:
-    """Put bounded functions in the place of those with which rosbags unpacks chunks and messages.
+    """Put bounded functions in the place of those with which rosbags unpacks.
 
     rosbags has no option for it. It passes a chunk's decompressor the size that the recording says.
     """
@@ -92,7 +130,7 @@ def _bound_what_is_unpacked() -> None:
         lz4=lambda data, size: _unpacked(lz4.LZ4FrameDecompressor, data, size),
     )
     reader_of_folders.zstd = SimpleNamespace(  # type: ignore[assignment,attr-defined]
-        open=zstd.open,
+        open=_BoundedFile,
         decompress=lambda data: _unpacked(zstd.ZstdDecompressor, data, LARGEST_CHUNK),
     )
 

@@ -10,6 +10,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -119,9 +120,7 @@ def test_a_chunk_is_not_unpacked_without_end(
     path = tmp_path / "bomb.mcap"
     write_mcap(path, [(1, declared, zeros(compression, 2**30))], compression, indexed)
     line, memory = read_apart(path)
-    assert line.startswith(
-        f"bag '{path}' cannot be read: chunks of it that belong together unpack "
-    )
+    assert line.startswith(f"bag '{path}' cannot be unpacked: ")
     assert "`mcap filter --chunk-size 4194304`" in line
     assert memory < 2.5 * LARGEST_CHUNK / 2**20
 
@@ -132,8 +131,36 @@ def test_many_chunks_at_once_are_too_much_and_one_after_the_other_are_not(tmp_pa
         write_mcap(tmp_path / name, [(1 + apart * i, size, b"") for i in range(5)], "zstd")
     with BagReader(tmp_path / "apart.mcap") as bag:
         assert list(bag.topics) == ["/left_ticks"]
-    with pytest.raises(BagError, match="chunks of it that belong together"):
+    with pytest.raises(BagError, match="chunks of the same time have more than 536870912 bytes"):
         BagReader(tmp_path / "together.mcap")
+
+
+def declare_compressed(bag: Path, mode: str) -> None:
+    """Say in the metadata that messages or files are compressed."""
+    metadata = bag / "metadata.yaml"
+    words = metadata.read_text().replace("compression_mode: ''", f"compression_mode: {mode}")
+    metadata.write_text(words.replace("compression_format: ''", "compression_format: zstd"))
+
+
+def test_a_compressed_file_is_not_unpacked_without_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whole files are unpacked on the disk, in a folder that does not stay."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "unpacked"))
+    (tmp_path / "unpacked").mkdir()
+    with BagWriter(tmp_path / "bag", "sqlite3") as bag:
+        bag.write("/left_ticks", Message(messages.TICKS_TYPE, {"data": 1}), 1)
+    file = tmp_path / "bag" / "bag.db3"
+    zstd = mcap.zstd  # type: ignore[attr-defined]
+    declare_compressed(tmp_path / "bag", "FILE")
+    file.write_bytes(zstd.compress(file.read_bytes()))
+    with BagReader(tmp_path / "bag") as read:
+        assert len(list(read.records())) == 1
+    monkeypatch.setattr(rosbags_api, "LARGEST_CHUNK", 2**20)
+    file.write_bytes(zeros("zstd", 2**26))
+    with pytest.raises(BagError, match=r"a compressed file has more than \d+ bytes"):
+        BagReader(tmp_path / "bag")
+    assert list((tmp_path / "unpacked").iterdir()) == []
 
 
 def test_a_compressed_message_is_not_unpacked_without_end(
@@ -145,11 +172,11 @@ def test_a_compressed_message_is_not_unpacked_without_end(
         bag.write("/left_ticks", Message(messages.TICKS_TYPE, {"data": 1}), 1)
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as file:
         file.execute("UPDATE messages SET data = ?", (zeros("zstd", 2**24),))
-    metadata = tmp_path / "bag" / "metadata.yaml"
-    words = metadata.read_text()
-    words = words.replace("compression_mode: ''", "compression_mode: MESSAGE")
-    metadata.write_text(words.replace("compression_format: ''", "compression_format: zstd"))
-    with BagReader(tmp_path / "bag") as read, pytest.raises(BagError, match="unpack to more"):
+    declare_compressed(tmp_path / "bag", "MESSAGE")
+    with (
+        BagReader(tmp_path / "bag") as read,
+        pytest.raises(BagError, match="a chunk or a message has more than 1048576 bytes"),
+    ):
         list(read.records())
 
 
