@@ -189,9 +189,16 @@ class StateFile:
     def write(self, state: SavedState, saved_at: datetime) -> None:
         """Write a state; a file that `find` refused is kept, as `NAME.broken`, the first one.
 
+        Noise that has left the bounds of the parameters, because they were changed at run time, is
+        written as the bound: the next start has these parameters again.
+
         Raises:
             FnnEkfError: the file cannot be written.
         """
+        process, measurement = noise_bounds(self._parameters).within(
+            state.process_noise, state.measurement_noise
+        )
+        state = state._replace(process_noise=process, measurement_noise=measurement)
         text = render_state(state, self._parameters, saved_at)
         if self._keep_what_is_there:
             broken = self.path.with_name(f"{self.path.name}.broken")

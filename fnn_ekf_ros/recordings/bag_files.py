@@ -30,6 +30,10 @@ _ROS_1_MAGIC = b"#ROSBAG V"
 """The first bytes of a recording of ROS 1."""
 STORAGE_SUFFIXES = (".mcap", ".db3")
 """Endings of a file that is a recording."""
+_EXPECTED = (
+    f"expected the folder of a rosbag2 recording, or its {' or '.join(STORAGE_SUFFIXES)} file"
+)
+"""What is expected in place of something else."""
 LAST_STAMP_S = 2**31 - 1
 """Last second that a stamp of ROS can have, in 2038: builtin_interfaces/Time has an int32 [s]."""
 _LARGEST_OPEN = 2 * LARGEST_CHUNK
@@ -118,6 +122,8 @@ def _check_bag(path: Path) -> None:
         raise BagError(f"bag '{path}' does not exist: expected a rosbag2 recording")
     if path.is_file():
         _refuse_ros_1(path)
+        if path.suffix not in STORAGE_SUFFIXES:
+            raise BagError(f"bag '{path}' is no recording: {_EXPECTED}")
         return
     if not path.is_dir():
         raise BagError(f"bag '{path}' is no file: expected a rosbag2 recording")
@@ -146,7 +152,7 @@ def _what_is_instead(path: Path, entries: list[Path]) -> str:
     inner = [entry for entry in entries if (entry / "metadata.yaml").is_file()]
     if inner:
         return f"it is no recording, but holds {_listed(inner)}"
-    return "expected the folder of a rosbag2 recording, or its .mcap or .db3 file"
+    return _EXPECTED
 
 
 def _listed(paths: list[Path]) -> str:

@@ -226,7 +226,11 @@ def refuse_existing(path: Path, *, replaces: bool = False) -> None:
         BagError: something has it, its folder does not exist or is itself a bag, or it is none.
     """
     shown = f"'{str(path)[:80]}'"
-    if path.name in ("", "..") or not path.name.isprintable() or len(os.fsencode(path.name)) > 200:
+    if (
+        path.name in ("", "..", "-")
+        or not path.name.isprintable()
+        or len(os.fsencode(path.name)) > 200
+    ):
         raise BagError(f"{shown} cannot be the name of a result: choose another")
     if os.path.lexists(path):
         if not replaces:

@@ -150,6 +150,8 @@ def check_result_folder(
             there already.
     """
     try:
+        if str(path) == STANDARD_OUTPUT:
+            raise FnnEkfError(f"{option} {path}: is no text, expected the name of a folder")
         if _is_bag(path) or _is_bag(path.parent):
             raise FnnEkfError(f"{option} '{path}': is a bag's folder, expected another")
         if not os.access(_first_that_is_there(path), os.W_OK | os.X_OK):

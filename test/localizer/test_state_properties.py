@@ -176,6 +176,23 @@ def test_the_noise_of_a_vague_start_beyond_pi_is_not_lost(tmp_path: Path, mode: 
     np.testing.assert_array_equal(read_again(localizer).process_noise, [2e-3, 3e-3])
 
 
+def test_noise_beyond_the_bounds_of_the_next_start_is_at_the_bound(tmp_path: Path) -> None:
+    """The bounds were changed at run time, and are again what they were."""
+    parameters = make_parameters(
+        state_file=str(tmp_path / "s.yaml"), process_noise_std_max=[1.0, 1.0]
+    )
+    localizer = localizer_of(dataclasses.replace(parameters, process_noise_std_max=(10.0, 3.0)),
+                             STATE._replace(process_noise=np.array([4.0, 0.5])))  # fmt: skip
+    localizer.advance(START_NS)
+    saved = localizer.saved()
+    assert saved is not None
+    np.testing.assert_array_equal(saved.process_noise, [4.0, 0.5])
+    StateFile(parameters).write(saved, WHEN)
+    found = StateFile(parameters).find().state
+    assert found is not None
+    np.testing.assert_array_equal(found.process_noise, [1.0, 0.5])
+
+
 def test_it_is_decided_for_each_parameter_whether_a_state_outlives_its_change() -> None:
     names = {name for name, _, _ in fields_of(LocalizerParameters)}
     assert not STILL_HOLDS & set(ROBOT)

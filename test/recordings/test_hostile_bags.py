@@ -265,6 +265,15 @@ def test_what_is_no_finished_recording_says_what_to_do(tmp_path: Path, recorded:
     assert said_of(tmp_path / "all").endswith(f"it is no recording, but holds '{whole}'")
 
 
+def test_another_file_is_no_recording(tmp_path: Path, recorded: Path) -> None:
+    (tmp_path / "run.mcap.zstd").write_text("x")
+    for path in (tmp_path / "run.mcap.zstd", recorded / "metadata.yaml"):
+        assert said_of(path) == (
+            f"bag '{path}' is no recording: expected the folder of a rosbag2 recording, or its "
+            ".mcap or .db3 file"
+        )
+
+
 def test_a_recording_of_ros_1_is_recognized(tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

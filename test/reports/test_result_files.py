@@ -57,6 +57,8 @@ def test_one_text_can_go_to_standard_output(
         check_results({"--output": text, "--json": numbers})
     with pytest.raises(FnnEkfError, match=r"--plot -: is no text, expected the name of a file"):
         check_results({"--plot": Path("-")})
+    with pytest.raises(FnnEkfError, match=r"--tum -: is no text, expected the name of a folder"):
+        check_result_folder("--tum", Path("-"), replaces=True)
 
 
 @pytest.mark.parametrize(
