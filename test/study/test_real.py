@@ -332,7 +332,7 @@ def test_bags_that_are_refused(tmp_path: Path, refuse: Refuse, recorded: Path) -
     geometry = ("--params", recorded.with_name("recorded.yaml"))
     said = refuse("study", "real", tmp_path / "missing", *out, *geometry)
     assert f"bag '{tmp_path / 'missing'}' does not exist" in said
-    assert "'/' has no name: expected the folder" in refuse("study", "real", "/", *out)
+    assert "bag '/' has no metadata.yaml: expected the folder" in refuse("study", "real", "/", *out)
     topic = ("-r", "right_ticks:=left_ticks")
     said = refuse("study", "real", recorded, *out, *topic)
     assert "-r: /left_ticks would be both left_ticks and right_ticks" in said
