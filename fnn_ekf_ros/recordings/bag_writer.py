@@ -157,8 +157,7 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         """Put the bag in its place, or leave nothing if something went wrong."""
-        placed: list[Path] = []
-        replaced: dict[Path, Path] = {}
+        begun: list[Path] = []
         try:
             if error is not None:
                 with suppress(Exception):
@@ -167,17 +166,13 @@ class BagWriter:
             self._writer.close()
             for result in self._results:
                 refuse_existing(result, replaces=self._replaces)
+                begun.append(result)
                 if os.path.lexists(result):
-                    old = Path(self._work.name) / f"{len(replaced)}.old"
-                    result.rename(old)
-                    replaced[result] = old
-                (Path(self._work.name) / result.name).rename(result)
-                placed.append(result)
+                    result.rename(self._old(result))
+                self._new(result).rename(result)
         except BaseException as failure:  # the storages raise errors of many kinds; a signal
-            for result in placed:
-                shutil.rmtree(result, ignore_errors=True)
-            for result, old in replaced.items():
-                old.rename(result)
+            for result in begun:
+                self._put_back(result)
             if not isinstance(failure, Exception):
                 raise
             if isinstance(failure, BagError):
@@ -185,6 +180,21 @@ class BagWriter:
             raise self._broken(failure) from None
         finally:
             self._work.cleanup()
+
+    def _new(self, result: Path) -> Path:
+        """Return where a result lies until it is complete."""
+        return Path(self._work.name) / result.name
+
+    def _old(self, result: Path) -> Path:
+        """Return where what a result replaces lies until the new one is in its place."""
+        return Path(self._work.name) / f"{result.name}.old"
+
+    def _put_back(self, result: Path) -> None:
+        """Undo what has been done to give a result its place, wherever it broke off."""
+        if not os.path.lexists(self._new(result)):
+            shutil.rmtree(result) if result.is_dir() else result.unlink()
+        if os.path.lexists(self._old(result)):
+            self._old(result).rename(result)
 
     def _open(self) -> None:
         work = Path(self._work.name)

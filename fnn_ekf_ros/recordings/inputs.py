@@ -170,7 +170,10 @@ def _other_frame(
     frame = bag.message(first).header.frame_id
     if frame == parameters.frame_id:
         return []
-    return [f"-p frame_id:={frame or repr('')} takes the fixes of {name}"]
+    if not frame:
+        return [f"the fixes of {name} have no frame: expected '{parameters.frame_id}' in theirs"]
+    slash = ", but frames of ROS 2 begin with no slash" if frame.startswith("/") else ""
+    return [f"-p frame_id:={frame} takes the fixes of {name}{slash}"]
 
 
 def _silent_topics(

@@ -27,12 +27,14 @@ from fnn_ekf_ros.study.monte_carlo import STUDIES
 
 SMALL = ("--runs", 2, "--steps", 10, "--jobs", 1)
 STUDY_SIZES: dict[str, tuple[object, ...]] = {
-    **dict.fromkeys(STUDIES, SMALL),
+    **dict.fromkeys(STUDIES, (*SMALL, "--filters", "ekf")),
     "lasting": SMALL,
     "rates": ("--runs", 2, "--fixes", 4, "--jobs", 1),
     "faults": ("--runs", 1, "--quiet-runs", 0, "--faults", "compass_nan", "--jobs", 1),
 }
 """Words that make a study of simulated robots small, by its name."""
+PLAIN = ("-p", "adaptation:=none")
+"""A filter that takes little time."""
 BAGS_TO_WRITE = {"simulate": "out", "replay": "out", "import-csv": "out"}
 """The argument that names the bag to write, by command."""
 INPUTS = {
@@ -110,13 +112,14 @@ def words_for(folder: Path, command: str) -> list[object]:
         return [name, study, *([bag, *given] if study == "real" else size)]
     return {
         "simulate": ["simulate", folder / "new", "--duration", 1],
-        "replay": ["replay", bag, folder / "new", *given],
+        "replay": ["replay", bag, folder / "new", *given, *PLAIN],
         "import-csv": ["import-csv", folder / "t.csv", folder / "new", "--geometry",
                        folder / "g.json"],
         "doctor": ["doctor", bag, *given],
         "tune": ["tune", bag, *given],
         "evaluate": ["evaluate", bag, "--odom-topic", "/ground_truth"],
-        "compare": ["compare", bag, "--params", *[folder / "run.yaml"] * 2, "--labels", "a", "b"],
+        "compare": ["compare", bag, "--params", *[folder / "run.yaml"] * 2, "--labels", "a", "b",
+                    *PLAIN],
         "train": ["train", "--epochs", 1],
     }[name]  # fmt: skip
 
@@ -207,7 +210,7 @@ def test_a_bag_that_cannot_be_finished_does_not_replace_the_old_one(
     rename = Path.rename
 
     def fails_at_the_end(self: Path, target: Path) -> Path:
-        if target == parameters_of(made / "new") and self.name == target.name:
+        if self.name != "new.yaml.old" and target == parameters_of(made / "new"):
             raise OSError(28, "full")
         return rename(self, target)
 
@@ -215,6 +218,30 @@ def test_a_bag_that_cannot_be_finished_does_not_replace_the_old_one(
     ended = run(*words, "--force", "-p", "seed:=9")
     assert ended.code == 1
     assert "full" in ended.err
+    assert (contents(made / "new"), parameters_of(made / "new").read_text()) == before
+    assert not [path for path in made.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("step", range(4))
+def test_an_interrupt_while_bags_change_places_loses_none(
+    made: Path, run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, step: int
+) -> None:
+    """After each of the four renames: the old bag and file away, the new ones there."""
+    words = words_for(made, "simulate")
+    assert run(*words).code == 0
+    before = contents(made / "new"), parameters_of(made / "new").read_text()
+    rename, done = Path.rename, []
+
+    def interrupted_after(self: Path, target: Path) -> Path:
+        place = rename(self, target)
+        done.append(target)
+        if len(done) == step + 1:
+            raise KeyboardInterrupt
+        return place
+
+    monkeypatch.setattr(Path, "rename", interrupted_after)
+    assert run(*words, "--force", "-p", "seed:=9").code == 130
+    assert len(done) > step
     assert (contents(made / "new"), parameters_of(made / "new").read_text()) == before
     assert not [path for path in made.iterdir() if path.name.startswith(".")]
 

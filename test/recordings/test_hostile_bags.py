@@ -312,6 +312,32 @@ def test_a_filter_that_does_not_start_says_what_would_start_it(
     assert expected in refuse(command, recorded, *given, *assignments)
 
 
+@pytest.mark.parametrize(
+    ("frame", "expected"),
+    [
+        (
+            "/map",
+            "-p frame_id:=/map takes the fixes of /lrf_pose, but frames of ROS 2 begin with no",
+        ),
+        ("", "the fixes of /lrf_pose have no frame: expected 'map' in theirs"),
+    ],
+)
+def test_fixes_in_no_frame_of_ros_2(
+    tmp_path: Path, recorded: Path, refuse: Refuse, frame: str, expected: str
+) -> None:
+    odd = tmp_path / "odd"
+    with BagReader(recorded) as bag, BagWriter(odd) as out:
+        for record in bag.records():
+            if record.topic == "/lrf_pose":
+                message = bag.message(record)
+                message.header.frame_id = frame
+                out.rewrite(record, message)
+            else:
+                out.write_raw(record)
+    given = ["--params", parameters_of(recorded)]
+    assert expected in refuse("replay", odd, tmp_path / "out", *given)
+
+
 def test_a_topic_without_messages_is_named(tmp_path: Path, recorded: Path, refuse: Refuse) -> None:
     silent = tmp_path / "silent"
     with BagReader(recorded) as bag, BagWriter(silent) as out:
