@@ -1,10 +1,12 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands that are ended before they are done leave nothing behind."""
+"""Nodes and commands that are ended, by one signal or by many, keep what they should."""
 
+import itertools
 import re
 import signal
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,49 @@ def test_an_ended_command_leaves_nothing(
     patiently(lambda: any(place.iterdir()), "the first file")
     started.send_signal(number)
     assert started.wait(timeout=60.0) == code
+    assert "Traceback" not in processes.output(started)
+    assert not list(place.iterdir())
+
+
+def end_impatiently(process: subprocess.Popen[str], numbers: tuple[int, ...]) -> int:
+    """Send one signal after the other until a process has ended; return its exit code."""
+    for number in itertools.cycle(numbers):
+        process.send_signal(number)
+        try:
+            return process.wait(timeout=0.002)
+        except subprocess.TimeoutExpired:
+            pass
+    raise AssertionError
+
+
+@pytest.mark.parametrize(
+    "numbers", [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM)]
+)
+def test_a_node_that_is_told_twice_stops_once(
+    processes: Any, patiently: Callable[..., None], numbers: tuple[int, ...]
+) -> None:
+    """Also while Python ends: exit code 0, and the state is kept."""
+    kept = processes.folder / "state.yaml"
+    started = processes.start(
+        "localizer", "--ros-args", "-p", "wheel_radius:=0.025", "-p", "wheel_separation:=0.6",
+        "-p", "encoder_counts_per_revolution:=500.0", "-p", "initial_pose:=[1.0, 2.0, 0.5]",
+        "-p", f"state_file:={kept}", "-p", "period:=0.05",
+    )  # fmt: skip
+    patiently(lambda: "encoders: no message" in processes.output(started), "a period")
+    assert end_impatiently(started, numbers) == 0, processes.output(started)
+    assert "Traceback" not in processes.output(started)
+    assert "pose: [1.0, 2.0, 0.5]" in kept.read_text()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_command_that_is_told_twice_cleans_up_once(
+    processes: Any, patiently: Callable[..., None], number: int, code: int
+) -> None:
+    place = processes.folder / "place"
+    place.mkdir()
+    started = processes.start("simulate", place / "bag", "--duration", 100000)
+    patiently(lambda: any(place.iterdir()), "the first file")
+    assert end_impatiently(started, (number,)) == code
     assert "Traceback" not in processes.output(started)
     assert not list(place.iterdir())
 
