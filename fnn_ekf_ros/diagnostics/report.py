@@ -117,8 +117,13 @@ class DiagnosticsReport:
 
     def took(self, event: Event, change: BufferChange) -> None:
         """Count an event that was taken in, and what it changed."""
+        sensor = _sensor_of(event)
+        if change.left_out and sensor is not None:
+            self._left_out[sensor] += change.left_out
+            self._newly_left_out[sensor] += change.left_out
         if change.changed_ns is None:
-            self._time.repeated()
+            if not change.left_out:
+                self._time.repeated()
             return
         if change.out_of_order:
             self._time.out_of_order()
@@ -127,8 +132,7 @@ class DiagnosticsReport:
             self._encoders.saw(event, change)
         elif isinstance(event, PoseReset):
             self._encoders.pose_was_set(event.stamp_ns)
-        else:
-            sensor = Sensor.COMPASS if isinstance(event, CompassYaw) else Sensor.LRF_POSE
+        elif sensor is not None:
             self._heard[sensor].at(event.stamp_ns)
             if sensor is Sensor.LRF_POSE:
                 self._stood_ns = 0

@@ -23,8 +23,11 @@ from fnn_ekf_ros.timeline.events import (
     WheelCount,
 )
 from fnn_ekf_ros.timeline.filter_model import wheel_geometry
-from fnn_ekf_ros.timeline.wheels import BufferChange, UnwrappedWheel
+from fnn_ekf_ros.timeline.wheels import MOST_KEPT, BufferChange, UnwrappedWheel
 
+MOST_AT_ONCE = 100
+"""Largest number of readings of one sensor with the same stamp that are kept, those of the smallest
+numbers: more than there are sources of fixes, and few enough to cost nothing."""
 EventT = TypeVar("EventT", CompassYaw, PoseFix, PoseReset)
 """Event of one kind."""
 
@@ -90,24 +93,36 @@ class _Queue(Generic[EventT]):
     def __init__(self, content: Callable[[EventT], tuple[float, ...]] | None = None) -> None:
         self._content: Callable[[EventT], tuple[float, ...]] | None = content
         self._stamps: list[int] = []
+        self._contents: list[tuple[float, ...]] = []
         self._events: list[EventT] = []
 
     def add(self, event: EventT) -> BufferChange:
-        if not self._stamps or event.stamp_ns > self._stamps[-1]:  # as nearly always
-            self._stamps.append(event.stamp_ns)
-            self._events.append(event)
-            return BufferChange(event.stamp_ns)
-        last = place = bisect_right(self._stamps, event.stamp_ns)
-        if self._content is not None:
+        content = () if self._content is None else self._content(event)
+        last = place = len(self._stamps)
+        left_out = 0
+        if place and event.stamp_ns <= self._stamps[-1]:  # seldom
             first = bisect_left(self._stamps, event.stamp_ns)
-            said = [self._content(other) for other in self._events[first:last]]
-            content = self._content(event)
-            if content in said:
+            last = bisect_right(self._stamps, event.stamp_ns, first)
+            place = bisect_left(self._contents, content, first, last)
+            if place < last and self._contents[place] == content:
+                if self._content is None:
+                    self._events[place] = event
+                    return BufferChange(event.stamp_ns)
                 return BufferChange(None)
-            place = first + bisect_left(said, content)
+            if last - first >= MOST_AT_ONCE:
+                if place == last:
+                    return BufferChange(None, left_out=1)
+                self._delete(slice(last - 1, last))
+                last, left_out = last - 1, 1
         self._stamps.insert(place, event.stamp_ns)
+        self._contents.insert(place, content)
         self._events.insert(place, event)
-        return BufferChange(event.stamp_ns, last < len(self._stamps) - 1)
+        out_of_order = last < len(self._stamps) - 1
+        if len(self._stamps) > MOST_KEPT:
+            before = len(self._stamps)
+            self._delete(slice(1, -1, 2))
+            left_out += before - len(self._stamps)
+        return BufferChange(event.stamp_ns, out_of_order, left_out=left_out)
 
     def between(self, after_ns: int, until_ns: int) -> list[EventT]:
         first = bisect_right(self._stamps, after_ns)
@@ -115,7 +130,10 @@ class _Queue(Generic[EventT]):
 
     def forget_before(self, stamp_ns: int) -> None:
         first = bisect_left(self._stamps, stamp_ns)
-        del self._stamps[:first], self._events[:first]
+        self._delete(slice(first))
+
+    def _delete(self, which: slice) -> None:
+        del self._stamps[which], self._contents[which], self._events[which]
 
 
 class InputBuffer:

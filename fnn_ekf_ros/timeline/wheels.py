@@ -16,7 +16,9 @@ whatever speed it would mean. Any other one is motion if it is slow enough: mess
 distance before a restart is unknown.
 
 The counts are a function of the readings alone, not of the order in which stamped ones arrive: a
-late one is put in its place, and the readings after it are evaluated again.
+late one is put in its place, and the readings after it are evaluated again. Of readings with one
+stamp two are kept, which decide the counts before and after it: the smallest and the greatest one;
+where they are stamped on arrival, the first and the last one.
 """
 
 from bisect import bisect_left, bisect_right
@@ -32,6 +34,11 @@ SILENCE_NS = 10**9
 """Time without a reading from which on a reading near 0 is a restart [ns]: a controller hardly
 restarts in less, and the slowest encoders send more often."""
 
+MOST_KEPT = 10_000
+"""Largest number of readings of one sensor or wheel that are kept: those of 1 kHz in the longest
+`history`, 10 s. Of more, every other one is dropped, so that memory and the work for a message stay
+bounded whatever comes, also while the clock stands still."""
+
 
 class BufferChange(NamedTuple):
     """Change of a buffer by an event.
@@ -42,12 +49,14 @@ class BufferChange(NamedTuple):
         jump: difference of a wheel's reading from the last accepted one if it is too large for
             motion; otherwise 0 [counts].
         silent_ns: time without readings before a jump that followed a silence; otherwise 0 [ns].
+        left_out: readings of a sensor that were dropped because there were too many.
     """
 
     changed_ns: int | None
     out_of_order: bool = False
     jump: float = 0.0
     silent_ns: int = 0
+    left_out: int = 0
 
 
 class _Jumped(NamedTuple):
@@ -119,32 +128,39 @@ class UnwrappedWheel:
         """Take a reading in."""
         stamps = self._stamps
         place = len(stamps)
+        crowded = False
         if place and stamp_ns <= stamps[-1]:
-            if not self._stamped:
-                stamp_ns = stamps[-1]
-            else:
-                place = bisect_right(stamps, stamp_ns)
-                first = bisect_left(stamps, stamp_ns)
-                if raw in self._raw[first:place]:
+            if self._stamped:
+                found = self._place_for(stamp_ns, raw)
+                if found is None:
                     return BufferChange(None)
-                place = bisect_left(self._raw, raw, first, place)
+                place = found
+            else:
+                stamp_ns = stamps[-1]
+                crowded = place > 1 and stamps[-2] == stamp_ns
         if self._anchor is None:
             # Counts are small integers where counting begins, wherever that is: exact, and the
             # same as of a counter that started at 0. Positions are taken as they are.
             self._anchor = 0.0 if self._modulus is None else raw
         before = self._unwrapped[place - 1] if place else None
         unwrapped = self._after(before, stamp_ns, raw)
+        if crowded:
+            self._delete(slice(place - 1, place))
+            place -= 1
         stamps.insert(place, stamp_ns)
         self._raw.insert(place, raw)
         self._unwrapped.insert(place, unwrapped)
         out_of_order = place < len(stamps) - 1
         if out_of_order:
             self._evaluate_again_from(place + 1)
-        changed_ns = stamps[place - 1] + 1 if place else stamp_ns
+        known_ns = stamps[place - 1] if place else stamp_ns - 1
+        if len(stamps) > MOST_KEPT:
+            self._delete(slice(1, -1, 2))
+        changed_ns = known_ns + 1
         if before is None or unwrapped.jumped is None:
             return BufferChange(changed_ns, out_of_order)
         jump = float(unwrapped.jumped.value - before.value)
-        silent_ns = stamp_ns - stamps[place - 1]
+        silent_ns = stamp_ns - known_ns
         return BufferChange(
             changed_ns=changed_ns,
             out_of_order=out_of_order,
@@ -174,7 +190,24 @@ class UnwrappedWheel:
         """Drop the readings that no instant from `stamp_ns` on needs."""
         first = bisect_right(self._stamps, stamp_ns) - 1
         if first > 64:  # in slabs: deleting from the front of a list moves all of it
-            del self._stamps[:first], self._raw[:first], self._unwrapped[:first]
+            self._delete(slice(first))
+
+    def _delete(self, which: slice) -> None:
+        del self._stamps[which], self._raw[which], self._unwrapped[which]
+
+    def _place_for(self, stamp_ns: int, raw: int | float) -> int | None:
+        """Make room for a stamped reading and return its place; None if it says nothing new."""
+        first = bisect_left(self._stamps, stamp_ns)
+        last = bisect_right(self._stamps, stamp_ns, first)
+        if first == last:
+            return first
+        if self._raw[first] <= raw <= self._raw[last - 1]:
+            return None
+        place = first if raw < self._raw[first] else last - 1
+        if last - first > 1:
+            self._delete(slice(place, place + 1))
+            return place
+        return first if raw < self._raw[first] else last
 
     def _evaluate_again_from(self, place: int) -> None:
         for later in range(place, len(self._stamps)):
