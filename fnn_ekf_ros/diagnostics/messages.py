@@ -132,9 +132,11 @@ class TimeMessage(StrEnum):
     LATE = "<input> message dropped: later than history"
     AHEAD = "<input> message dropped: stamped ahead of the clock"
     WENT_BACK = "the clock went back: the localizer starts anew"
+    SET_BACK = "the clock was set back: all that is kept moves with it"
     JUMPED_AHEAD = "the clock jumped ahead: the localizer starts anew"
     PAUSED = "the clock jumped ahead, or no message arrived for a while"
     OVERRUN = "the node was late by more than a period"
+    TOO_SLOW = "the node is too slow: readings are left out"
 
 
 class TransformMessage(StrEnum):
@@ -144,8 +146,21 @@ class TransformMessage(StrEnum):
     MISSING = "no transform from odom_frame to base_frame"
 
 
+class OdomMessage(StrEnum):
+    """Messages of the status `odom`."""
+
+    ALONE = "published by this node alone"
+    SHARED = "another node publishes odom, too"
+
+
 DiagnosticMessage = (
-    InputMessage | EncoderMessage | SensorMessage | FilterMessage | TimeMessage | TransformMessage
+    InputMessage
+    | EncoderMessage
+    | SensorMessage
+    | FilterMessage
+    | TimeMessage
+    | TransformMessage
+    | OdomMessage
 )
 """Any message of a status."""
 
@@ -156,6 +171,7 @@ MESSAGES: dict[str, tuple[DiagnosticMessage, ...]] = {
     "filter": tuple(FilterMessage),
     "time": tuple(TimeMessage),
     "tf": tuple(TransformMessage),
+    "odom": tuple(OdomMessage),
 }
 """The messages of each status."""
 

@@ -157,6 +157,10 @@ class DiagnosticsReport:
         """Count a delay of more than a period [s]."""
         self._time.overran(seconds)
 
+    def shed(self, count: int) -> None:
+        """Count readings that were left out because the node is too slow."""
+        self._time.shed(count)
+
     def paused(self, time_ns: int) -> None:
         """Count a time in which nothing was heard, not even the clock [ns]."""
         self._time.paused(time_ns)
@@ -167,6 +171,15 @@ class DiagnosticsReport:
 
     def restarted(self, from_ns: int, to_ns: int) -> None:
         """Count a restart by a jump of the clock [ns], after which every stamp begins anew."""
+        self._begin_anew()
+        self._time.restarted(from_ns, to_ns)
+
+    def set_back(self, from_ns: int, to_ns: int) -> None:
+        """Count a step of the clock back [ns] that is no restart; stamps begin anew, too."""
+        self._begin_anew()
+        self._time.set_back(from_ns, to_ns)
+
+    def _begin_anew(self) -> None:
         for heard in self._heard.values():
             heard.last_ns = None
         self._stood_ns = 0
@@ -174,7 +187,6 @@ class DiagnosticsReport:
         self._encoders.restarted()
         self._explained_by.clear()
         self._reported_move = None
-        self._time.restarted(from_ns, to_ns)
 
     def failed(self, end_ns: int, reason: str, *, restarts: bool) -> None:
         """Count a period that left the finite numbers; once if late inputs have it run again."""

@@ -16,7 +16,7 @@ class TimeStatus:
     def __init__(self) -> None:
         self._dropped: Counter[str] = Counter()
         self._repeated = self._out_of_order = self._redone = self._restarts = 0
-        self._overruns = self._pauses = 0
+        self._overruns = self._pauses = self._shed = self._steps_back = 0
         self._new_trouble = self._new_jump = ""
         self._last_drop = self._last_jump = self._last_overrun = ""
 
@@ -51,6 +51,12 @@ class TimeStatus:
         self._new_jump = TimeMessage.WENT_BACK if to_ns < from_ns else TimeMessage.JUMPED_AHEAD
         self._last_jump = f"{(to_ns - from_ns) * 1e-9:.3f}"
 
+    def set_back(self, from_ns: int, to_ns: int) -> None:
+        """Count a step of the clock back between two instants [ns]."""
+        self._steps_back += 1
+        self._new_jump = TimeMessage.SET_BACK
+        self._last_jump = f"{(to_ns - from_ns) * 1e-9:.3f}"
+
     def paused(self, time_ns: int) -> None:
         """Count a jump of the clock ahead that is no restart yet, or a pause [ns]."""
         self._pauses += 1
@@ -63,6 +69,11 @@ class TimeStatus:
         self._new_trouble = TimeMessage.OVERRUN
         self._last_overrun = f"{seconds:.2f}"
 
+    def shed(self, count: int) -> None:
+        """Count readings that were left out because the node is too slow."""
+        self._shed += count
+        self._new_trouble = TimeMessage.TOO_SLOW
+
     def status(self) -> Status:
         """Return the status; events since the last one decide its level."""
         values: Values = (
@@ -72,8 +83,10 @@ class TimeStatus:
             ("out of order", str(self._out_of_order)),
             ("periods run again for late inputs", str(self._redone)),
             ("restarts", str(self._restarts)),
+            ("steps back", str(self._steps_back)),
             ("jumps ahead or pauses", str(self._pauses)),
             ("cycle overruns", str(self._overruns)),
+            ("readings left out as the node is too slow", str(self._shed)),
         )
         values += tuple(
             (key, value)

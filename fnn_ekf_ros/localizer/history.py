@@ -32,6 +32,12 @@ from fnn_ekf_ros.timeline.period import (
 )
 from fnn_ekf_ros.timeline.wheels import BufferChange
 
+MOST_REDONE = 400.0
+"""Filter steps that are run again for late inputs, per second of ROS time [1/s]: less than half of
+what a small processor can do. Only periods below 0.1 s, and fast sensors that are late, need more;
+then late inputs are collected, so that one rewind serves many of them."""
+LONGEST_KEPT = 2
+"""Longest time that is kept for inputs that wait for a rewind, times `history`."""
 NEVER_NS = 2**63
 """An instant later than every stamp [ns]."""
 
@@ -47,6 +53,7 @@ class Checkpoint(NamedTuple):
         measured: when a position and a yaw were accepted last; None before the filter runs.
         recent: the last periods, for diagnostics; None before the filter runs.
         left_out: readings that were too many to be used.
+        steps: number of filter steps that the period took.
     """
 
     stamp_ns: int
@@ -56,6 +63,7 @@ class Checkpoint(NamedTuple):
     measured: Measured | None = None
     recent: RecentPeriods | None = None
     left_out: LeftOut = LeftOut()
+    steps: int = 0
 
 
 class LearnedState(NamedTuple):
@@ -79,6 +87,10 @@ class History:
         parameters: the localizer's parameters.
         diagnostics: counts what happens to inputs and periods.
         on_period: is called with every period that is run, also when it is run again.
+
+    Attributes:
+        inputs: of the checkpoints' periods, and later ones.
+        too_late_ns: the stamp up to which an input is dropped [ns].
     """
 
     def __init__(
@@ -88,12 +100,13 @@ class History:
         on_period: Callable[[Period], None] | None,
     ) -> None:
         self.inputs = InputBuffer(parameters)
-        self._period_s = parameters.period
         self._kept_ns = round(parameters.history * 1e9)
         self._diagnostics = diagnostics
         self._on_period = on_period
         self._checkpoints: deque[Checkpoint] = deque()
         self._changed_ns = NEVER_NS
+        self._steps_left = MOST_REDONE
+        self.too_late_ns = -NEVER_NS
 
     @property
     def is_empty(self) -> bool:
@@ -112,6 +125,7 @@ class History:
 
     def begin(self, stamp_ns: int, waiting: AwaitingStart, model: FilterModel) -> None:
         """Open the first period at an instant [ns]."""
+        self.too_late_ns = stamp_ns
         self._checkpoints.append(
             Checkpoint(stamp_ns=stamp_ns, state=waiting, counts=Counts(), model=model)
         )
@@ -126,6 +140,8 @@ class History:
     def close(self, end_ns: int, model: FilterModel) -> Estimate | None:
         """Run the periods that late inputs belong to again, and then the one that ends now.
 
+        Where this has been too much work lately, late inputs wait for a later period.
+
         A filter whose numbers do not stay finite even without measurements starts anew with what
         it had learned; diagnostics count it.
 
@@ -134,10 +150,7 @@ class History:
             model: it is run with.
         """
         kept = deque(self._checkpoints)
-        redo: list[Checkpoint] = []
-        while len(kept) > 1 and kept[-1].stamp_ns >= self._changed_ns:
-            redo.append(kept.pop())
-        self._changed_ns = NEVER_NS
+        redo = self._taken_back(kept, end_ns)
         estimate = None
         try:
             for stamp_ns, model_then in [
@@ -158,12 +171,53 @@ class History:
         self._diagnostics.redone(len(redo))
         return estimate
 
+    def _taken_back(self, kept: deque[Checkpoint], end_ns: int) -> list[Checkpoint]:
+        """Remove the checkpoints from which periods are run again now; return them."""
+        more = MOST_REDONE * (end_ns - self.newest.stamp_ns) / 1e9
+        self._steps_left = min(self._steps_left + more, MOST_REDONE)
+        if self._steps_left <= 0.0:
+            return []
+        redo: list[Checkpoint] = []
+        while len(kept) > 1 and kept[-1].stamp_ns >= self._changed_ns:
+            redo.append(kept.pop())
+        self._steps_left -= sum(before.steps for before in redo)
+        self._changed_ns = NEVER_NS
+        return redo
+
+    def move(self, by_ns: int) -> None:
+        """Move all that is kept in time [ns], as the clock was set; diagnostics begin anew."""
+        self.inputs.move(by_ns)
+        self.too_late_ns += by_ns
+        if self._changed_ns != NEVER_NS:
+            self._changed_ns += by_ns
+        self._checkpoints = deque(
+            before._replace(
+                stamp_ns=before.stamp_ns + by_ns,
+                measured=None
+                if before.measured is None
+                else Measured(*(stamp_ns + by_ns for stamp_ns in before.measured)),
+                recent=None,
+            )
+            for before in self._checkpoints
+        )
+
     def forget(self) -> None:
-        """Drop what lies further back than `history`."""
-        oldest_needed_ns = self.newest.stamp_ns - self._kept_ns
+        """Drop what lies further back than `history`, and no late input waits for."""
+        newest_ns = self.newest.stamp_ns
+        oldest_needed_ns = max(
+            min(newest_ns - self._kept_ns, self._changed_ns - 1),
+            newest_ns - LONGEST_KEPT * self._kept_ns,
+        )
         while len(self._checkpoints) > 1 and self._checkpoints[1].stamp_ns <= oldest_needed_ns:
             self._checkpoints.popleft()
-        self.inputs.forget_before(self.oldest.stamp_ns)
+        oldest_ns = self.oldest.stamp_ns
+        kept_ns = newest_ns - self._kept_ns
+        earlier = (each.stamp_ns for each in self._checkpoints if each.stamp_ns <= kept_ns)
+        self.too_late_ns = max(earlier, default=oldest_ns)
+        if self._changed_ns <= oldest_ns:
+            self._diagnostics.shed(self.inputs.readings_between(self._changed_ns - 1, oldest_ns))
+            self._changed_ns = oldest_ns + 1
+        self.inputs.forget_before(oldest_ns)
 
     def _count_left_out(self, redo: list[Checkpoint]) -> None:
         """Count the readings left out of the newest period, and new ones of periods run again."""
@@ -213,10 +267,11 @@ class History:
             measured=measured,
             recent=recent,
             left_out=inputs.left_out,
+            steps=len(inputs.epochs) + len(inputs.epochs_after_reset),
         )
         if isinstance(state, AwaitingStart):
             return checkpoint, None
-        T = self._period_s
+        T = (end_ns - before.stamp_ns) / 1e9
         return checkpoint, Estimate(
             stamp_ns=end_ns,
             state=state,

@@ -51,6 +51,9 @@ LONGEST_SILENCE_PERIODS = 1600
 filling the time: ten minutes at 375 ms, and about a second of work."""
 LARGEST_LEAD_NS = 10**9
 """Largest lead of a stamp over the clock that is accepted [ns]: synchronized clocks differ less."""
+SMALLEST_STEP_NS = 10**8
+"""Step back from which on the clock was set [ns]: what clocks that are kept synchronized may differ
+from one look to the next, of several threads or publishers."""
 LONGEST_PAUSE_NS = 5 * 10**9
 """Time without a look at the clock from which on it has jumped, or the machine stood still [ns]."""
 REPORT_INTERVAL_NS = 10**9
@@ -67,6 +70,23 @@ class Received(NamedTuple):
 
     outputs: list[Output]
     rejected: Rejected | None = None
+
+
+class _OldClock(NamedTuple):
+    """What the clock was before it was set back.
+
+    Attributes:
+        ahead_ns: by how much it was ahead of the new one [ns].
+        until_ns: new time until which messages may come that were stamped by it [ns].
+    """
+
+    ahead_ns: int = 0
+    until_ns: int = 0
+
+    def read(self, stamp_ns: int, now_ns: int) -> int:
+        """Return a stamp that is ahead of the clock as the new clock would have shown it [ns]."""
+        was_ns = stamp_ns - self.ahead_ns
+        return was_ns if now_ns < self.until_ns and was_ns <= now_ns else stamp_ns
 
 
 class Localizer:
@@ -102,6 +122,7 @@ class Localizer:
         self._kept_ns = round(parameters.history * 1e9)
         self._longest_silence_ns = LONGEST_SILENCE_PERIODS * self._period_ns + self._longest_wait_ns
         self._now_ns: int
+        self._is_behind = False
         self.reset()
         self._warm_start = warm_start
         if warm_start is not None:
@@ -132,6 +153,8 @@ class Localizer:
             now_ns: ROS time at which it arrived [ns].
         """
         outputs = self.advance(now_ns)
+        if event.stamp_ns > now_ns + SMALLEST_STEP_NS:
+            event = event._replace(stamp_ns=self._old_clock.read(event.stamp_ns, now_ns))
         if isinstance(event, PoseReset):  # a command, not a measurement: never too late
             oldest_ns = self._history.oldest.stamp_ns
             event = event._replace(stamp_ns=max(event.stamp_ns, oldest_ns + 1))
@@ -141,8 +164,14 @@ class Localizer:
             outputs += self._close_due()
         return outputs
 
-    def advance(self, now_ns: int) -> list[Output]:
-        """Let ROS time pass; return the periods that have waited for the wheels too long."""
+    def advance(self, now_ns: int, most: int | None = None) -> list[Output]:
+        """Let ROS time pass; return the periods that have waited for the wheels too long.
+
+        Args:
+            now_ns: ROS time [ns].
+            most: number of periods to close at once, so that a caller can do something else before
+                it calls again, with the same time, as long as `is_behind`; None: all of them.
+        """
         if (
             self._now_ns <= now_ns < self._open_until_ns
             and now_ns <= self._now_ns + LONGEST_PAUSE_NS
@@ -151,6 +180,10 @@ class Localizer:
             return []
         if now_ns > self._now_ns + LONGEST_PAUSE_NS and not self._history.is_empty:
             self._diagnostics.paused(now_ns - self._now_ns)
+        if self._history.is_empty or now_ns >= self._now_ns - SMALLEST_STEP_NS:
+            pass
+        elif now_ns >= self._now_ns - self._kept_ns:
+            self._set_back(now_ns)
         went_back = now_ns < self._now_ns - self._kept_ns
         jumped_ahead = (
             not self._history.is_empty
@@ -162,7 +195,24 @@ class Localizer:
         self._now_ns = max(now_ns, self._now_ns)
         if self._history.is_empty:
             self._begin(now_ns)
-        return self._close_due()
+        return self._close_due(most)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether periods are still to be closed that could have been."""
+        return self._is_behind
+
+    def shed(self, count: int) -> None:
+        """Count readings that the caller has left out because there was no time for them."""
+        self._diagnostics.shed(count)
+
+    def _set_back(self, now_ns: int) -> None:
+        """Go on at an earlier time: all that is kept moves with the clock."""
+        by_ns = now_ns - self._now_ns
+        self._diagnostics.set_back(self._now_ns, now_ns)
+        self._history.move(by_ns)
+        self._now_ns = now_ns
+        self._old_clock = _OldClock(-by_ns, now_ns + self._kept_ns)
 
     def overran(self, seconds: float) -> None:
         """Count a delay of the caller of more than a period [s]."""
@@ -231,6 +281,8 @@ class Localizer:
         self._at_start = learned
         self._history = History(self.parameters, self._diagnostics, self._on_period)
         self._now_ns = self._open_until_ns = -NEVER_NS
+        self._old_clock = _OldClock()
+        self._is_behind = False
 
     def _learned(self) -> LearnedState:
         """Return what was learned so far."""
@@ -250,7 +302,7 @@ class Localizer:
         if event.stamp_ns - now_ns > LARGEST_LEAD_NS:
             self._diagnostics.dropped(TimeMessage.AHEAD, event, now_ns)
             return False
-        if event.stamp_ns <= self._history.oldest.stamp_ns:  # nothing older is kept
+        if event.stamp_ns <= self._history.too_late_ns:
             self._diagnostics.dropped(TimeMessage.LATE, event, now_ns)
             return False
         measured = isinstance(event, CompassYaw | PoseFix)
@@ -276,36 +328,46 @@ class Localizer:
             begin_ns = max(begin_ns, -self._period_ns)
         self._history.begin(begin_ns, waiting, self._model)
 
-    def _close_due(self) -> list[Output]:
+    def _close_due(self, most: int | None = None) -> list[Output]:
         """Close the periods that can be closed now, and note when the next one can be."""
-        outputs = self._close()
-        self._open_until_ns = self._history.newest.stamp_ns + self._period_ns + self._delay_ns
+        outputs: list[Output] = []
+        while (complete := self._is_due()) is not None:
+            if len(outputs) == most:
+                break
+            outputs.append(self._close(complete))
+        self._is_behind = complete is not None
+        self._open_until_ns = self._open_end_ns() + self._delay_ns
         return outputs
 
-    def _close(self) -> list[Output]:
-        """Close the periods that can be closed now."""
-        outputs: list[Output] = []
-        while True:
-            end_ns = self._history.newest.stamp_ns + self._period_ns
-            if self._now_ns < end_ns + self._delay_ns:
-                return outputs
-            known_ns = self._history.inputs.wheels_known_until_ns()
-            complete = known_ns is not None and known_ns >= end_ns
-            if not complete and self._now_ns < end_ns + self._longest_wait_ns:
-                return outputs
-            known = last_move(self._recent())
-            estimate = self._history.close(end_ns, self._model)
-            moved = new_move(known, self._recent())
-            self._diagnostics.closed(end_ns, complete, self._history.newest.counts, estimate)
-            outputs.append(
-                Output(
-                    stamp_ns=end_ns,
-                    estimate=estimate,
-                    statuses=self._report(end_ns, estimate),
-                    moved=moved,
-                )
-            )
-            self._history.forget()
+    def _open_end_ns(self) -> int:
+        """Return the end of the open period [ns]; it is shorter after the clock was set back."""
+        return (self._history.newest.stamp_ns // self._period_ns + 1) * self._period_ns
+
+    def _is_due(self) -> bool | None:
+        """Return whether both wheels are known up to the end of the open period; None: wait."""
+        end_ns = self._open_end_ns()
+        if self._now_ns < end_ns + self._delay_ns:
+            return None
+        known_ns = self._history.inputs.wheels_known_until_ns()
+        if known_ns is not None and known_ns >= end_ns:
+            return True
+        return False if self._now_ns >= end_ns + self._longest_wait_ns else None
+
+    def _close(self, complete: bool) -> Output:
+        """Close the open period, with both wheels known up to its end or not."""
+        end_ns = self._open_end_ns()
+        known = last_move(self._recent())
+        estimate = self._history.close(end_ns, self._model)
+        moved = new_move(known, self._recent())
+        self._diagnostics.closed(end_ns, complete, self._history.newest.counts, estimate)
+        output = Output(
+            stamp_ns=end_ns,
+            estimate=estimate,
+            statuses=self._report(end_ns, estimate),
+            moved=moved,
+        )
+        self._history.forget()
+        return output
 
     def _report(self, end_ns: int, estimate: Estimate | None) -> tuple[Status, ...] | None:
         if end_ns // REPORT_INTERVAL_NS == (end_ns - self._period_ns) // REPORT_INTERVAL_NS:

@@ -132,6 +132,13 @@ class _Queue(Generic[EventT]):
         first = bisect_left(self._stamps, stamp_ns)
         self._delete(slice(first))
 
+    def move(self, by_ns: int) -> None:
+        self._stamps = [stamp_ns + by_ns for stamp_ns in self._stamps]
+        self._events = [
+            event._replace(stamp_ns=stamp_ns)
+            for event, stamp_ns in zip(self._events, self._stamps, strict=True)
+        ]
+
     def _delete(self, which: slice) -> None:
         del self._stamps[which], self._contents[which], self._events[which]
 
@@ -277,12 +284,24 @@ class InputBuffer:
             left_out=LeftOut(len(compass) - len(compass_used), len(fixes) - len(fixes_used)),
         )
 
+    def readings_between(self, after_ns: int, until_ns: int) -> int:
+        """Return the number of readings of compass and fixes in a time [ns]."""
+        sensors = self._compass, self._fixes
+        return sum(len(queue.between(after_ns, until_ns)) for queue in sensors)
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop the inputs that no period which ends after `stamp_ns` needs."""
         for track in self._wheels.values():
             track.forget_before(stamp_ns)
         for queue in (self._compass, self._fixes, self._resets):
             queue.forget_before(stamp_ns)
+
+    def move(self, by_ns: int) -> None:
+        """Move all inputs in time [ns], as the clock was set."""
+        for track in self._wheels.values():
+            track.move(by_ns)
+        for queue in (self._compass, self._fixes, self._resets):
+            queue.move(by_ns)
 
 
 def _pose_content(event: PoseFix) -> tuple[float, ...]:

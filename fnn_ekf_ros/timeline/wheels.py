@@ -89,6 +89,12 @@ class _Unwrapped(NamedTuple):
     def counted(self) -> int | float:
         return self.value - self.base
 
+    def moved(self, by_ns: int) -> "_Unwrapped":
+        jumped = self.jumped
+        if jumped is not None:
+            jumped = jumped._replace(stamp_ns=jumped.stamp_ns + by_ns)
+        return self._replace(stamp_ns=self.stamp_ns + by_ns, jumped=jumped)
+
 
 class UnwrappedWheel:
     """Counts of one wheel, unwrapped and without jumps.
@@ -191,6 +197,11 @@ class UnwrappedWheel:
         first = bisect_right(self._stamps, stamp_ns) - 1
         if first > 64:  # in slabs: deleting from the front of a list moves all of it
             self._delete(slice(first))
+
+    def move(self, by_ns: int) -> None:
+        """Move all readings in time [ns], as the clock was set."""
+        self._stamps = [stamp_ns + by_ns for stamp_ns in self._stamps]
+        self._unwrapped = [each.moved(by_ns) for each in self._unwrapped]
 
     def _delete(self, which: slice) -> None:
         del self._stamps[which], self._raw[which], self._unwrapped[which]

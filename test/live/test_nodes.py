@@ -144,6 +144,30 @@ def test_fake_robot_and_localizer_without_launch(
     assert b"\x00" in (levels if source == "ticks" else levels[-1:])
 
 
+def test_two_localizers_of_one_name_name_each_other(
+    processes: Any, listener: Listener, patiently: Callable[..., None]
+) -> None:
+    diagnostics = listener.collect(DiagnosticArray, "/diagnostics")
+    first, second = (processes.start("localizer", "--ros-args", *GEOMETRY) for _ in range(2))
+    said = "/odom is also published by /localizer (of the same name): end one of the two"
+    patiently(
+        lambda: listener.spin() or all(said in processes.output(each) for each in (first, second)),
+        "both warnings",
+    )
+
+    def status() -> Any:
+        listener.spin()
+        found = [s for m in diagnostics for s in m.status if s.name == "localizer: odom"]
+        return found[-1] if found else None
+
+    patiently(lambda: status() is not None and status().level == b"\x01", "the status")
+    assert status().message == "another node publishes odom, too"
+    assert status().values[0].value == "/localizer (of the same name)"
+    processes.stop(first)
+    patiently(lambda: status().level == b"\x00", "the status without the other one")
+    processes.stop(second)
+
+
 def test_robots_in_namespaces_do_not_hear_each_other(
     processes: Any, listener: Listener, patiently: Callable[..., None], tmp_path: Path
 ) -> None:

@@ -11,8 +11,10 @@ from localizers import (
     SECOND_NS,
     START_NS,
     Arrival,
+    Run,
     estimates,
     feed,
+    joints_localizer,
     make_localizer,
     same_estimates,
     simulated,
@@ -20,7 +22,14 @@ from localizers import (
     time_values,
 )
 
-from fnn_ekf_ros.timeline.events import WheelCount
+from fnn_ekf_ros.localizer.localizer import SMALLEST_STEP_NS, Localizer
+from fnn_ekf_ros.simulation.delivery import STEP_NS
+from fnn_ekf_ros.timeline.events import PoseFix, WheelCount
+
+SET_NS = START_NS + 20 * SECOND_NS
+"""True time at which the clock is set back [ns]."""
+LATER_NS = 200 * SECOND_NS
+"""What the clock shows more than true time before that [ns]."""
 
 
 @pytest.mark.parametrize("step_s", [0.3, 1.5, 30.0, 300.0])
@@ -49,27 +58,84 @@ def test_a_clock_that_is_set_forward_costs_certainty_only(step_s: float) -> None
     assert np.linalg.norm(last.state.mean[:2] - run.truth[truth_ns][:2]) < 0.5
 
 
-@pytest.mark.parametrize("source", ["ticks", "joint_states"])
-@pytest.mark.parametrize("step_s", [-0.2, -1.0, -1.9, -2.1, -100.0])
-@pytest.mark.slow
-def test_a_clock_that_is_set_back_does_not_lose_the_robot(step_s: float, source: str) -> None:
-    run = simulated(12, 40.0, source)
-    set_ns, step_ns = START_NS + 20 * SECOND_NS, round(step_s * 1e9)
-    later = 200 * SECOND_NS
-    moved = [
+def set_back(run: Run, step_s: float) -> list[Arrival]:
+    """Return the arrivals by a clock that is set back in the middle, far from its beginning."""
+    step_ns = round(step_s * 1e9)
+    return [
         a._replace(now_ns=a.now_ns + by, event=a.event._replace(stamp_ns=a.event.stamp_ns + by))
         for a in run.arrivals
-        for by in [later if a.now_ns < set_ns else later + step_ns]
+        for by in [LATER_NS if a.now_ns < SET_NS else LATER_NS - step_ns]
     ]
-    localizer = make_localizer(encoder_source=source, adaptation="none")
-    outputs = estimates(feed(localizer, moved))
-    assert time_values(localizer)["restarts"] == str(int(step_s < -2.0))
-    assert len(outputs) > 85
-    last = outputs[-1].estimate
-    assert last is not None
-    truth_ns = min(run.truth, key=lambda s: abs(s + later + step_ns - last.stamp_ns))
-    assert np.linalg.norm(last.state.mean[:2] - run.truth[truth_ns][:2]) < 0.5
-    assert np.all(np.isfinite(last.state.covariance))
+
+
+def errors_after(run: Run, step_s: float, source: str) -> tuple[list[float], list[int], Localizer]:
+    """Return errors of odom [m] after the clock was set, the true times between odom [ns]."""
+    localizer = make_localizer(encoder_source=source)
+    errors, published = [], []
+    for true, arrival in zip(run.arrivals, set_back(run, step_s), strict=True):
+        by_ns = arrival.now_ns - true.now_ns
+        for output in estimates(localizer.add(arrival.event, arrival.now_ns)):
+            assert output.estimate is not None
+            assert output.stamp_ns % PERIOD_NS == 0
+            published.append(true.now_ns)
+            if true.now_ns >= SET_NS:
+                pose = run.truth[min(run.truth, key=lambda s: abs(s + by_ns - output.stamp_ns))]
+                errors.append(float(np.linalg.norm(output.estimate.state.mean[:2] - pose[:2])))
+    return errors, np.diff(published).tolist(), localizer
+
+
+@pytest.mark.parametrize("source", ["ticks", "joint_states"])
+@pytest.mark.parametrize("step_s", [0.2, 0.5, 1.0, 1.9])
+@pytest.mark.slow
+def test_a_clock_that_is_set_back_costs_nothing(step_s: float, source: str) -> None:
+    """All that is kept moves with it: no odom is missing, and none is where the robot was not."""
+    run = simulated(12, 40.0, source)
+    errors, intervals_ns, localizer = errors_after(run, step_s, source)
+    expected, expected_ns, _ = errors_after(run, 0.0, source)
+    assert max(intervals_ns) <= max(expected_ns) + STEP_NS
+    assert max(errors) <= 1.2 * max(expected)
+    assert np.sqrt(np.mean(np.square(errors))) <= 1.2 * np.sqrt(np.mean(np.square(expected)))
+    assert time_values(localizer)["steps back"] == "1"
+    assert time_values(localizer)["restarts"] == "0"
+
+
+@pytest.mark.parametrize("source", ["ticks", "joint_states"])
+@pytest.mark.parametrize("step_s", [2.1, 100.0])
+@pytest.mark.slow
+def test_a_clock_that_is_set_back_by_much_does_not_lose_the_robot(
+    step_s: float, source: str
+) -> None:
+    errors, _, localizer = errors_after(simulated(12, 40.0, source), step_s, source)
+    assert time_values(localizer)["restarts"] == "1"
+    assert len(errors) > 40
+    assert errors[-1] < 0.5
+
+
+def test_what_was_stamped_before_the_clock_was_set_back_is_read_by_the_old_clock() -> None:
+    """A fix on its way is fused at the time it was taken, as if the clock had been right."""
+    run = simulated(12, 24.0, "joint_states")
+    late = [a for a in run.arrivals if isinstance(a.event, PoseFix) and a.now_ns < SET_NS][-1]
+    fix_ns = late.event.stamp_ns
+    found = []
+    for ahead_ns in (0, 1_500_000_000):  # by the right clock, and by the one before it was set
+        localizer = joints_localizer(adaptation="none")
+        moved = [a for a in set_back(run, 1.5) if a.event.stamp_ns != fix_ns + LATER_NS]
+        at = next(i for i, a in enumerate(moved) if i and a.now_ns < moved[i - 1].now_ns)
+        stamp_ns = fix_ns + LATER_NS - 1_500_000_000 + ahead_ns
+        moved.insert(at + 2, Arrival(moved[at + 1].now_ns, late.event._replace(stamp_ns=stamp_ns)))
+        outputs = estimates(feed(localizer, moved))
+        found.append([o.estimate.state.mean for o in outputs if o.estimate is not None])
+        assert time_values(localizer)["dropped"] == "0"
+    # The step is known to the time between two messages, in which the robot moves a centimeter.
+    np.testing.assert_allclose(*found, atol=0.02)
+
+
+def test_small_differences_of_the_clock_are_none() -> None:
+    run = simulated(12, 10.0, "joint_states")
+    localizer = joints_localizer(adaptation="none")
+    for place, arrival in enumerate(run.arrivals):
+        localizer.add(arrival.event, arrival.now_ns - (place % 2) * SMALLEST_STEP_NS // 2)
+    assert time_values(localizer)["steps back"] == "0"
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.angles import wrap_angle
-from fnn_ekf_ros.localizer.localizer import LONGEST_SILENCE_PERIODS, Localizer
+from fnn_ekf_ros.localizer.localizer import LONGEST_SILENCE_PERIODS, SMALLEST_STEP_NS, Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -108,7 +108,7 @@ class Victim:
 
     def _see_clock(self, now_ns: int) -> None:
         """Know when the localizer starts anew: then its stamps may jump."""
-        if now_ns < self._newest_ns - self._history_ns:
+        if now_ns < self._newest_ns - min(self._history_ns, SMALLEST_STEP_NS):
             self._newest_ns, self._last_ns = now_ns, None
         longest_ns = LONGEST_SILENCE_PERIODS * self._period_ns
         self._leapt |= now_ns > self._newest_ns + longest_ns // 2

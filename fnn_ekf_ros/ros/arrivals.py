@@ -1,0 +1,203 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Messages in the order in which they are taken, each with the time at which it came.
+
+A node that was stopped, or got no share of the processor, finds its queues full and a clock that
+has gone on. The messages are older than that: each is taken at the ROS time at which it was sent,
+so that no period is closed before what belongs to it was taken. The middleware delivers what waited
+only while the node runs again, one topic after the other. So nothing is taken, and no time passes,
+before some looks in a row have found nothing that had waited.
+
+Nothing here knows ROS: a look is made with what was found and the time at which.
+"""
+
+from collections import deque
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
+
+STALL_S = 0.25
+"""Steady time between two looks from which on the node was stopped [s]: well above the interval of
+looks, and below the default `encoder_timeout`, after which periods end without the wheels."""
+HELD_S = 0.5
+"""Steady time without old messages after which everything that waited has been delivered [s]: the
+middleware takes a tenth of it on a busy machine."""
+HELD_LOOKS = 4
+"""Number of looks that have to be made in that time: a node that is stopped again makes none."""
+LONGEST_HELD_S = 4.0
+"""Longest time for which messages are held after a stop, while a topic is silent or gives old ones
+[s]. A reliable one of Fast DDS may be silent for 3 s, the interval at which its sender asks what is
+missing. Neither a sender's wrong clock nor one stop after the other holds the time for longer."""
+LAST_HEARD_S = 1.0
+"""Steady time before a stop in which a topic was heard if it is expected afterwards [s]."""
+LAG_S = 1.0
+"""Time for which a message may wait in here until the node counts as being behind [s]."""
+CATCHING_UP_S = 5.0
+"""Shortest time in which a node that is behind may catch up before readings are left out [s]; it
+has as much as it is behind. One that is twice as fast as its inputs makes it after any stop."""
+
+
+class Message(NamedTuple):
+    """A message as the middleware gave it.
+
+    Attributes:
+        topic: of the localizer.
+        content: the message.
+        sent_ns: time of its sender's system clock [ns]; 0 if it is not known.
+        received_ns: system time at which it reached the process [ns]; 0 if it is not known.
+    """
+
+    topic: str
+    content: Any
+    sent_ns: int
+    received_ns: int
+
+
+class Moment(NamedTuple):
+    """The clocks at a look.
+
+    Attributes:
+        steady_s: steady time [s].
+        system_ns: system time [ns], with which messages are marked.
+        ros_ns: ROS time [ns].
+    """
+
+    steady_s: float
+    system_ns: int
+    ros_ns: int
+
+
+class Arrival(NamedTuple):
+    """A message with the ROS time at which it came [ns], in the order of coming."""
+
+    ros_ns: int
+    message: Message
+
+
+class _Stop(NamedTuple):
+    """A time in which the node did not run.
+
+    Attributes:
+        before: the last look before it.
+        expected: topics that were heard shortly before it.
+        quiet_s: steady time since which no old message was found [s].
+        looks: number of looks since then.
+        until_s: steady time at which it counts as over in any case [s].
+    """
+
+    before: Moment
+    expected: set[str]
+    quiet_s: float
+    looks: int
+    until_s: float
+
+
+class Arrivals:
+    """The messages that wait to be taken.
+
+    Args:
+        topics: in the order in which messages of one look are taken: the wheels, which close
+            periods, come last.
+    """
+
+    def __init__(self, topics: Sequence[str]) -> None:
+        self._rank = {topic: rank for rank, topic in enumerate(topics)}
+        self._waiting: deque[Arrival] = deque()
+        self._held: list[Message] = []
+        self._last: Moment | None = None
+        self._stop: _Stop | None = None
+        self._delay_ns: dict[str, int] = {}
+        self._heard_s: dict[str, float] = {}
+        self._late_after_s: float | None = None
+
+    def look(self, moment: Moment, found: Sequence[Message]) -> None:
+        """Take in what a look has found."""
+        if self._last is not None and self._stop is None and self.stopped(moment.steady_s):
+            since_s = self._last.steady_s - LAST_HEARD_S
+            self._stop = _Stop(
+                before=self._last,
+                expected={topic for topic, at in self._heard_s.items() if at > since_s},
+                quiet_s=moment.steady_s,
+                looks=0,
+                until_s=moment.steady_s + LONGEST_HELD_S,
+            )
+        self._last = moment
+        if self._stop is None:
+            for message in sorted(found, key=lambda each: (self._rank[each.topic], each.sent_ns)):
+                self._heard_s[message.topic] = moment.steady_s
+                if message.sent_ns and message.received_ns:
+                    self._delay_ns[message.topic] = message.received_ns - message.sent_ns
+                self._waiting.append(Arrival(moment.ros_ns, message))
+            return
+        self._held += found
+        old_ns = moment.system_ns - round(0.5e9 * STALL_S)
+        if any(self._came_ns(message) < old_ns for message in found):
+            self._stop = self._stop._replace(quiet_s=moment.steady_s, looks=0)
+        else:
+            self._stop = self._stop._replace(looks=self._stop.looks + 1)
+        quiet_s = moment.steady_s - self._stop.quiet_s
+        heard = {message.topic for message in self._held} >= self._stop.expected
+        delivered = heard and quiet_s >= HELD_S and self._stop.looks >= HELD_LOOKS
+        if delivered or moment.steady_s >= self._stop.until_s:
+            self._release(self._stop.before, moment)
+
+    def _release(self, before: Moment, now: Moment) -> None:
+        """Let what was held during a stop be taken, each message at its time."""
+        for message in sorted(self._held, key=self._came_ns):
+            self._waiting.append(Arrival(_at(self._came_ns(message), before, now), message))
+        self._held, self._stop = [], None
+
+    def _came_ns(self, message: Message) -> int:
+        """Return the system time at which a message would have come without the stop [ns]."""
+        return message.sent_ns + self._delay_ns.get(message.topic, 0)
+
+    def stopped(self, steady_s: float) -> bool:
+        """Return whether the node has not run for a while before a steady time [s]."""
+        return self._last is not None and steady_s - self._last.steady_s > STALL_S
+
+    @property
+    def time_may_pass(self) -> bool:
+        """Whether everything that came so far was taken, as far as that can be known."""
+        return not self._waiting and self._stop is None
+
+    @property
+    def first(self) -> Arrival | None:
+        """The message that came first; None if none waits."""
+        return self._waiting[0] if self._waiting else None
+
+    def __len__(self) -> int:
+        """Return how many messages are here."""
+        return len(self._waiting) + len(self._held)
+
+    def take(self) -> Arrival:
+        """Return the message that came first; it waits no longer."""
+        return self._waiting.popleft()
+
+    def shed(self, moment: Moment, topics: Collection[str]) -> int:
+        """Drop messages if they come faster than they are taken; return how many.
+
+        Args:
+            moment: now.
+            topics: of which messages may be left out.
+        """
+        if not self._waiting or moment.ros_ns - self._waiting[0].ros_ns < LAG_S * 1e9:
+            self._late_after_s = None
+            return 0
+        lag_s = (moment.ros_ns - self._waiting[0].ros_ns) * 1e-9
+        if self._late_after_s is None:
+            self._late_after_s = moment.steady_s + max(lag_s, CATCHING_UP_S)
+        if moment.steady_s < self._late_after_s:
+            return 0
+        before = len(self._waiting)
+        self._waiting = deque(each for each in self._waiting if each.message.topic not in topics)
+        self._late_after_s = None
+        return before - len(self._waiting)
+
+
+def _at(system_ns: int, before: Moment, now: Moment) -> int:
+    """Return the ROS time at a system time [ns] between two moments."""
+    past_ns = now.system_ns - before.system_ns
+    if past_ns <= 0:  # the clock was set back meanwhile
+        return now.ros_ns
+    part = min(max((system_ns - before.system_ns) / past_ns, 0.0), 1.0)
+    return before.ros_ns + round(part * (now.ros_ns - before.ros_ns))

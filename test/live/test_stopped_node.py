@@ -1,0 +1,171 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""A localizer that does not run for a while publishes what it would have published."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from localizers import GEOMETRY, as_object, make_parameters
+from nav_msgs.msg import Odometry
+from own_nodes import OwnNode
+from rclpy.qos import QoSProfile
+from std_srvs.srv import Trigger
+
+from fnn_ekf_ros import messages
+from fnn_ekf_ros.localizer.localizer import Localizer
+from fnn_ekf_ros.membership.files import networks_for
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.ros.build import build_message, message_class
+from fnn_ekf_ros.simulation.fake_robot import FakeRobot
+
+pytestmark = pytest.mark.live
+
+S = 10**9
+PARAMETERS = {"encoder_source": "joint_states", "period": 0.1, "initial_pose": [0.0, 0.0, 0.0]}
+DRIVEN_S = 1.0
+"""Time before and after the stop, recorded too [s]."""
+
+
+class Sent(NamedTuple):
+    """A message as it was published."""
+
+    time_ns: int
+    topic: str
+    content: Any
+
+
+class Driver(OwnNode):
+    """A simulated robot in real time, that keeps what it has sent and what it hears.
+
+    Attributes:
+        sent: in the order of sending.
+        heard: x, y, yaw by stamp.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("driver")
+        self.sent: list[Sent] = []
+        self.heard: dict[int, tuple[float, ...]] = {}
+        parameters = make_parameters(**PARAMETERS)
+        qos = QoSProfile(depth=1000)
+        self._publishers = {
+            topic: self.node.create_publisher(
+                message_class(messages.INPUT_TYPES[topic]), topic, qos
+            )
+            for topic in messages.input_topics(parameters)
+            if topic != messages.INITIAL_POSE
+        }
+        self.node.create_subscription(Odometry, messages.ODOM, self._hear, qos)
+        self._robot: FakeRobot | None = None
+
+    @property
+    def topics(self) -> list[str]:
+        """The topics that it sends."""
+        return list(self._publishers)
+
+    def met(self) -> bool:
+        """Return whether the localizer listens to every topic, and is heard."""
+        self.spin()
+        return self.node.count_publishers(messages.ODOM) > 0 and all(
+            each.get_subscription_count() > 0 for each in self._publishers.values()
+        )
+
+    def forget(self, patiently: Callable[..., None]) -> None:
+        """Let the localizer forget what it has heard, as some of the first messages are lost."""
+        client = self.node.create_client(Trigger, "localizer/reset")
+        patiently(lambda: self.spin() or client.service_is_ready(), "the service")
+        self.sent.clear()
+        future = client.call_async(Trigger.Request())
+        patiently(lambda: self.spin() or future.done(), "the answer")
+
+    def drive(self, seconds: float) -> None:
+        """Send what the robot's sensors send, at its time."""
+        if self._robot is None:
+            asked = build(FakeRobotParameters, {"path": "figure_eight", "lrf_rate": 5.0})
+            self._robot = FakeRobot(asked, time.time_ns())
+        end_ns = self._robot.stamp_ns + round(seconds * S)
+        while self._robot.stamp_ns < end_ns:
+            if time.time_ns() < self._robot.stamp_ns:
+                self.spin(0.005)
+                continue
+            for each in self._robot.step():
+                if each.topic in self._publishers:
+                    content = build_message(each.message)
+                    self.sent.append(Sent(time.time_ns(), each.topic, content))
+                    self._publishers[each.topic].publish(content)
+
+    def _hear(self, message: Odometry) -> None:
+        self.heard[messages.stamp_ns(message)] = tuple(messages.planar_pose(message))
+
+
+@pytest.fixture
+def driver(ros_environment: None) -> Iterator[Driver]:
+    made = Driver()
+    yield made
+    made.close()
+
+
+def replayed(sent: list[Sent]) -> dict[int, tuple[float, ...]]:
+    """Return what a localizer that hears every message at once gives, by stamp."""
+    parameters = make_parameters(**PARAMETERS)
+    localizer = Localizer(parameters, networks_for(parameters))
+    outputs = [
+        output
+        for time_ns, topic, content in sent
+        for output in localizer.receive(topic, content, time_ns).outputs
+    ]
+    return {
+        output.stamp_ns: tuple(
+            messages.planar_pose(as_object(messages.odometry(output.estimate, "map", "base")))
+        )
+        for output in outputs
+        if output.estimate is not None
+    }
+
+
+@pytest.mark.parametrize("stop_s", [0.7, 5.0])
+def test_a_node_that_was_stopped_publishes_what_a_replay_does(
+    processes: Any, driver: Driver, patiently: Callable[..., None], stop_s: float
+) -> None:
+    """All of the queues is taken before time passes, in the order in which it was sent."""
+    arguments = [
+        argument
+        for name, value in {**GEOMETRY, **PARAMETERS}.items()
+        for argument in ("-p", f"{name}:={value}")
+    ]
+    if stop_s > 1.0:  # what waits longer in shared memory is dropped, unless it can be asked for
+        arguments += [
+            argument
+            for topic in driver.topics
+            for argument in ("-p", f"qos_overrides./{topic}.subscription.reliability:=reliable")
+        ]
+    localizer = processes.start("localizer", "--ros-args", *arguments)
+    patiently(driver.met, "the localizer")
+    patiently(lambda: driver.drive(0.1) or len(driver.heard) > 3, "odom from all sensors")
+    driver.forget(patiently)
+    driver.drive(DRIVEN_S)
+    localizer.send_signal(signal.SIGSTOP)
+    driver.drive(stop_s)
+    localizer.send_signal(signal.SIGCONT)
+    driver.drive(DRIVEN_S)
+    expected = replayed(driver.sent)
+    last_ns = max(expected)
+    patiently(lambda: driver.spin() or last_ns in driver.heard, "the last odom")
+    processes.stop(localizer)
+
+    assert len(expected) > 10 * stop_s
+    assert [stamp_ns for stamp_ns in sorted(driver.heard) if stamp_ns >= min(expected)] == sorted(
+        expected
+    )
+    differing = {
+        stamp_ns: np.linalg.norm(np.subtract(driver.heard[stamp_ns], pose)[:2])
+        for stamp_ns, pose in expected.items()
+        if driver.heard[stamp_ns] != pose
+    }
+    assert not differing, f"{len(differing)} of {len(expected)}, up to {max(differing.values())} m"
