@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Int32
+from std_srvs.srv import SetBool
 
 from fnn_ekf_ros.ros import arrivals
 from fnn_ekf_ros.ros import localizer as localizer_module
@@ -227,3 +228,27 @@ def test_an_error_is_logged_as_one(bench: MakeBench, capfd: pytest.CaptureFixtur
         return any("[ERROR]" in line and "encoders: " in line for line in logged)
 
     opened.spin_until(has_error, "the error")
+
+
+def test_a_jump_of_the_clock_is_closed_in_parts_and_services_answer_in_between(
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nearly ten minutes, of which no period may be missing."""
+    opened = bench(*START)
+    opened.set_clock(100 * S)
+    localizer = opened.localizer.localizer
+    advance = localizer.advance
+    closed: list[int] = []
+
+    def advance_and_count(*arguments: int) -> Any:
+        outputs = advance(*arguments)
+        closed.append(len(outputs))
+        return outputs
+
+    monkeypatch.setattr(localizer, "advance", advance_and_count)
+    opened.set_clock(600 * S)
+    assert opened.call(SetBool, "localizer/enable_adaptation", SetBool.Request()).success
+    answered_after = sum(closed)
+    opened.spin_until(lambda: sum(closed) > 1300, "all periods")
+    assert max(closed) == localizer_module.MOST_PERIODS
+    assert answered_after < 1300
