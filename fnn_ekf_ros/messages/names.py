@@ -140,11 +140,7 @@ def output_topics() -> dict[str, str]:
 
 
 def input_topics(parameters: LocalizerParameters) -> tuple[str, ...]:
-    """Return the topics that a localizer with these parameters listens to.
-
-    The encoders come last: they close periods, and of messages that wait together those of the
-    topics that were subscribed to first are taken first.
-    """
+    """Return the topics that a localizer with these parameters listens to."""
     wheels = (JOINT_STATES,) if parameters.encoder_source == "joint_states" else (
         LEFT_TICKS, RIGHT_TICKS,
     )  # fmt: skip

@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Messages in the order in which they are taken, each with the time at which it came.
+"""Messages in the order in which they were sent, each with the time at which it came.
 
 A node that was stopped, or got no share of the processor, finds its queues full and a clock that
 has gone on. The messages are older than that: each is taken at the ROS time at which it was sent,
@@ -93,15 +93,9 @@ class _Stop(NamedTuple):
 
 
 class Arrivals:
-    """The messages that wait to be taken.
+    """The messages that wait to be taken."""
 
-    Args:
-        topics: in the order in which messages of one look are taken: the wheels, which close
-            periods, come last.
-    """
-
-    def __init__(self, topics: Sequence[str]) -> None:
-        self._rank = {topic: rank for rank, topic in enumerate(topics)}
+    def __init__(self) -> None:
         self._waiting: deque[Arrival] = deque()
         self._held: list[Message] = []
         self._last: Moment | None = None
@@ -123,7 +117,7 @@ class Arrivals:
             )
         self._last = moment
         if self._stop is None:
-            for message in sorted(found, key=lambda each: (self._rank[each.topic], each.sent_ns)):
+            for message in sorted(found, key=lambda each: each.sent_ns):
                 self._heard_s[message.topic] = moment.steady_s
                 if message.sent_ns and message.received_ns:
                     self._delay_ns[message.topic] = message.received_ns - message.sent_ns

@@ -78,7 +78,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self.localizer = Localizer(parameters, networks, warm_start=self._state_keeper.warm_start)
         self._pace = Pace(self, parameters.period, self.localizer.overran)
         self._look_s = min(parameters.period / LOOKS_PER_PERIOD, LONGEST_LOOK_S)
-        self._arrivals = Arrivals(messages.input_topics(parameters))
+        self._arrivals = Arrivals()
         self._more_to_do = self.create_guard_condition(self._work)
         self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}

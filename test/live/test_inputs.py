@@ -3,7 +3,6 @@
 
 """What reaches the localizer, at which quality of service, and whether it keeps pace."""
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +15,6 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Int32
 from std_srvs.srv import SetBool
 
-from fnn_ekf_ros.ros import arrivals
 from fnn_ekf_ros.ros import localizer as localizer_module
 from fnn_ekf_ros.timeline.events import CompassYaw, WheelCount
 
@@ -71,10 +69,11 @@ def test_an_override_that_makes_no_sense_ends_the_node_with_one_line(processes: 
     assert "always" in line
 
 
-def test_of_messages_that_wait_together_the_wheels_are_taken_last(
-    bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("wheels_first", [True, False])
+def test_messages_that_wait_together_are_taken_in_the_order_of_sending(
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch, wheels_first: bool
 ) -> None:
-    """They close periods: a reading that was sent before must not come too late for its own."""
+    """Wheels close periods: a reading that was sent before must not come too late for its own."""
     overrides = (
         f"qos_overrides./{topic}.subscription.reliability:=reliable"
         for topic in ("compass", "joint_states")
@@ -86,7 +85,6 @@ def test_of_messages_that_wait_together_the_wheels_are_taken_last(
     compass = opened.node.create_publisher(Imu, "compass", 10)
     for publisher in (wheels, compass):
         opened.spin_until(publisher.get_subscription_count, "a subscriber")
-    monkeypatch.setattr(arrivals, "STALL_S", math.inf)  # after a stop it is by the time of sending
     taken: list[type] = []
     localizer = opened.localizer.localizer
     add = localizer.add
@@ -95,11 +93,13 @@ def test_of_messages_that_wait_together_the_wheels_are_taken_last(
     facing = Imu()
     facing.orientation.w = 1.0
     turned.header.stamp.sec = facing.header.stamp.sec = 100
-    for publisher, message in ((wheels, turned), (compass, facing)):
+    both = [(wheels, turned), (compass, facing)]
+    for publisher, message in both if wheels_first else reversed(both):
         publisher.publish(message)
         assert publisher.wait_for_all_acked(Duration(seconds=60))
     opened.spin_until(lambda: len(taken) == 3, "all of them")
-    assert taken == [CompassYaw, WheelCount, WheelCount]
+    counts = [WheelCount, WheelCount]
+    assert taken == ([*counts, CompassYaw] if wheels_first else [CompassYaw, *counts])
 
 
 def test_a_burst_of_joint_states_is_taken_whole(

@@ -27,6 +27,7 @@ from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 pytestmark = pytest.mark.live
 
 S = 10**9
+PERIOD_NS = S // 10
 PARAMETERS = {"encoder_source": "joint_states", "period": 0.1, "initial_pose": [0.0, 0.0, 0.0]}
 DRIVEN_S = 1.0
 """Time before and after the stop, recorded too [s]."""
@@ -80,6 +81,9 @@ class Driver(OwnNode):
         """Let the localizer forget what it has heard, as some of the first messages are lost."""
         client = self.node.create_client(Trigger, "localizer/reset")
         patiently(lambda: self.spin() or client.service_is_ready(), "the service")
+        last_ns = max(messages.stamp_ns(each.content) for each in self.sent)
+        end_ns = last_ns // PERIOD_NS * PERIOD_NS
+        patiently(lambda: self.spin() or end_ns in self.heard, "all that was sent to be taken")
         self.sent.clear()
         future = client.call_async(Trigger.Request())
         patiently(lambda: self.spin() or future.done(), "the answer")
