@@ -28,6 +28,9 @@ LONGEST_HELD_S = 4.0
 """Longest time for which messages are held after a stop, while a topic is silent or gives old ones
 [s]. A reliable one of Fast DDS may be silent for 3 s, the interval at which its sender asks what is
 missing. Neither a sender's wrong clock nor one stop after the other holds the time for longer."""
+SAME_CLOCK_NS = 10**6
+"""Largest difference of the time between two looks by ROS time and by system time if they are the
+same clock [ns]: they are read one after the other."""
 LAST_HEARD_S = 1.0
 """Steady time before a stop in which a topic was heard if it is expected afterwards [s]."""
 LAG_S = 1.0
@@ -115,13 +118,15 @@ class Arrivals:
                 looks=0,
                 until_s=moment.steady_s + LONGEST_HELD_S,
             )
-        self._last = moment
+        last, self._last = self._last, moment
         if self._stop is None:
+            came_ns = moment.ros_ns if last is None else min(last.ros_ns, moment.ros_ns)
             for message in sorted(found, key=lambda each: each.sent_ns):
                 self._heard_s[message.topic] = moment.steady_s
                 if message.sent_ns and message.received_ns:
                     self._delay_ns[message.topic] = message.received_ns - message.sent_ns
-                self._waiting.append(Arrival(moment.ros_ns, message))
+                came_ns = max(came_ns, _received_ns(message, last, moment))
+                self._waiting.append(Arrival(came_ns, message))
             return
         self._held += found
         old_ns = moment.system_ns - round(0.5e9 * STALL_S)
@@ -186,6 +191,19 @@ class Arrivals:
         self._waiting = deque(each for each in self._waiting if each.message.topic not in topics)
         self._late_after_s = None
         return before - len(self._waiting)
+
+
+def _received_ns(message: Message, last: Moment | None, now: Moment) -> int:
+    """Return the ROS time at which a message reached a node that runs [ns].
+
+    Where ROS time is not that of the system, as in a simulation, it is known at looks only.
+    """
+    if last is None or not message.received_ns:
+        return now.ros_ns
+    apart_ns = (now.ros_ns - last.ros_ns) - (now.system_ns - last.system_ns)
+    if abs(apart_ns) > SAME_CLOCK_NS:
+        return now.ros_ns
+    return now.ros_ns - max(now.system_ns - message.received_ns, 0)
 
 
 def _at(system_ns: int, before: Moment, now: Moment) -> int:

@@ -85,6 +85,7 @@ class Driver(OwnNode):
         end_ns = last_ns // PERIOD_NS * PERIOD_NS
         patiently(lambda: self.spin() or end_ns in self.heard, "all that was sent to be taken")
         self.sent.clear()
+        self._robot = None
         future = client.call_async(Trigger.Request())
         patiently(lambda: self.spin() or future.done(), "the answer")
 

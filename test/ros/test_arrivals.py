@@ -65,8 +65,16 @@ def test_messages_come_at_once_and_in_the_order_of_sending() -> None:
     assert [each.message for each in taken] == [
         sent("wheels", 1.05), sent("fixes", 1.07), sent("wheels", 1.09)
     ]  # fmt: skip
-    assert {each.ros_ns for each in taken} == {at(1.1).ros_ns}
+    assert [each.ros_ns for each in taken] == [at(s + 0.001).ros_ns for s in (1.05, 1.07, 1.09)]
     assert arrivals.time_may_pass
+
+
+@pytest.mark.parametrize("ros_rate", [0.0, 10.0])
+def test_in_simulated_time_messages_come_at_the_look(ros_rate: float) -> None:
+    """The clock that was sent before them has been taken by then."""
+    arrivals = ran(ros_rate=ros_rate)
+    arrivals.look(at(1.1, ros_rate=ros_rate), [sent("wheels", 1.05), sent("fixes", 1.07)])
+    assert {arrivals.take().ros_ns for _ in range(2)} == {at(1.1, ros_rate=ros_rate).ros_ns}
 
 
 @pytest.mark.parametrize("ros_rate", [1.0, 10.0, 0.0])
