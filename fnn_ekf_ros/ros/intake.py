@@ -38,13 +38,20 @@ def take_clock(node: Node) -> None:
 
 
 def take_all(subscriptions: dict[str, Subscription], room: int) -> list[Message]:
-    """Return all messages that wait in queues, by topic, at most as many as there is room for."""
+    """Return all messages that wait in queues, by topic, at most as many as there is room for.
+
+    The queues are looked at until all are empty: what reached one while others were looked at may
+    have been sent before what was found there.
+    """
     found: list[Message] = []
-    for topic, subscription in subscriptions.items():
-        for content, info in _taken(subscription):
-            found.append(as_message(topic, content, info))
-            if len(found) >= room:
-                return found
+    before = -1
+    while len(found) > before:
+        before = len(found)
+        for topic, subscription in subscriptions.items():
+            for content, info in _taken(subscription):
+                found.append(as_message(topic, content, info))
+                if len(found) >= room:
+                    return found
     return found
 
 
