@@ -31,6 +31,11 @@ missing. Neither a sender's wrong clock nor one stop after the other holds the t
 SAME_CLOCK_NS = 10**6
 """Largest difference of the time between two looks by ROS time and by system time if they are the
 same clock [ns]: they are read one after the other."""
+SAME_MACHINE_NS = 20 * 10**6
+"""Smallest delay of a topic that is taken for an offset of its sender's clock [ns]: below it topics
+keep the order in which they were sent."""
+FORGOTTEN_NS = 10**6
+"""Growth of a topic's smallest delay with each message [ns], so that a clock may be set."""
 LAST_HEARD_S = 1.0
 """Steady time before a stop in which a topic was heard if it is expected afterwards [s]."""
 LAG_S = 1.0
@@ -124,7 +129,9 @@ class Arrivals:
             for message in sorted(found, key=lambda each: each.sent_ns):
                 self._heard_s[message.topic] = moment.steady_s
                 if message.sent_ns and message.received_ns:
-                    self._delay_ns[message.topic] = message.received_ns - message.sent_ns
+                    delay_ns = message.received_ns - message.sent_ns
+                    known_ns = self._delay_ns.get(message.topic, delay_ns)
+                    self._delay_ns[message.topic] = min(delay_ns, known_ns + FORGOTTEN_NS)
                 came_ns = max(came_ns, _received_ns(message, last, moment))
                 self._waiting.append(Arrival(came_ns, message))
             return
@@ -148,7 +155,8 @@ class Arrivals:
 
     def _came_ns(self, message: Message) -> int:
         """Return the system time at which a message would have come without the stop [ns]."""
-        return message.sent_ns + self._delay_ns.get(message.topic, 0)
+        offset_ns = self._delay_ns.get(message.topic, 0)
+        return message.sent_ns + (offset_ns if abs(offset_ns) > SAME_MACHINE_NS else 0)
 
     def stopped(self, steady_s: float) -> bool:
         """Return whether the node has not run for a while before a steady time [s]."""
