@@ -68,9 +68,10 @@ def fit_displacement(
         positions: `(k, 2)` x, y of the fixes [m].
     """
     breaks = travel.breaks(times)
-    paths = [_dead_reckoned(travel, sign * yaw) for sign in (1.0, -1.0)]
+    paths = [dead_reckoned(travel, sign * yaw) for sign in (1.0, -1.0)]
     fits = [
-        fit_drifting(times, positions, _free(_at(travel, path, times)), breaks) for path in paths
+        fit_drifting(times, positions, _free(displaced_at(travel, path, times)), breaks)
+        for path in paths
     ]
     margin = fits[0].log_likelihood - fits[1].log_likelihood
     handedness = 0 if abs(margin) < MIRROR_MARGIN else (1 if margin > 0.0 else -1)
@@ -83,15 +84,15 @@ def _refined(
 ) -> DisplacementFit:
     """Return a fit with a delay and with both coefficients along one direction."""
     times = fit.drift.times
-    moved = _at(travel, travelled, times)
+    moved = displaced_at(travel, travelled, times)
     delays = np.arange(-LARGEST_DELAY_S, LARGEST_DELAY_S + 1e-9, DELAY_STEP_S)
-    shifted = np.stack([_free(_at(travel, travelled, times - each)) for each in delays])
+    shifted = np.stack([_free(displaced_at(travel, travelled, times - each)) for each in delays])
     delay = float(delays[int(np.argmax(profile(fit.drift, positions, shifted)))])
     primary, direction = _primary(fit, moved)
     refined = fit
     for _ in range(4):
         columns, ahead, behind = (
-            _along(_at(travel, travelled, times - delay + shift), primary, direction)
+            _along(displaced_at(travel, travelled, times - delay + shift), primary, direction)
             for shift in (0.0, RATE_HALF_WINDOW_S, -RATE_HALF_WINDOW_S)
         )
         slope = fit_with(fit.drift, positions, columns).coefficients
@@ -133,7 +134,7 @@ def _result(fit: DriftFit, primary: int, direction: complex, delay: float) -> Di
     )
 
 
-def _dead_reckoned(travel: WheelTravel, yaw: FloatArray) -> ComplexArray:
+def dead_reckoned(travel: WheelTravel, yaw: FloatArray) -> ComplexArray:
     """Return D_s and D_d `(n, 2)`, complex, at the travel's times; each step is an arc."""
     middle, half = 0.5 * (yaw[1:] + yaw[:-1]), 0.5 * (yaw[1:] - yaw[:-1])
     chord = np.exp(1j * middle) * np.sinc(half / np.pi)
@@ -141,7 +142,8 @@ def _dead_reckoned(travel: WheelTravel, yaw: FloatArray) -> ComplexArray:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def _at(travel: WheelTravel, travelled: ComplexArray, times: FloatArray) -> ComplexArray:
+def displaced_at(travel: WheelTravel, travelled: ComplexArray, times: FloatArray) -> ComplexArray:
+    """Return D_s and D_d `(..., 2)` at instants."""
     parts = [
         np.interp(times, travel.times, travelled[:, each].real)
         + 1j * np.interp(times, travel.times, travelled[:, each].imag)

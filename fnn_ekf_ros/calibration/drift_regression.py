@@ -34,6 +34,8 @@ from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 OUTLIER_FROM = 2.5
 """Innovation from which on a reading gets less weight [standard deviations]: with its fourth power,
 so that the further an outlier is, the less it counts."""
+LEAST_WEIGHT = 1e-9
+"""Smallest weight of a reading: of a sensor without noise nearly all may be outliers."""
 ROUNDS = 5
 """Rounds of weights and coefficients; more change neither by a tenth of a standard error."""
 RATIOS = 10.0 ** np.arange(-5.0, 2.1, 0.5)
@@ -88,6 +90,19 @@ class DriftFit(NamedTuple):
     drift: Drift
 
 
+class Level(NamedTuple):
+    """What a filter knows of the drift after a reading, to go on from.
+
+    Attributes:
+        variance: `(R,)` of the drift, in units of r.
+        lead: `(R, m, q)` level of each column less its value at the reading, so that columns may be
+            counted from elsewhere afterwards.
+    """
+
+    variance: FloatArray
+    lead: FloatArray
+
+
 class _Filtered(NamedTuple):
     """Columns as innovations, one set for each ratio.
 
@@ -96,16 +111,30 @@ class _Filtered(NamedTuple):
         spread: `(n, R)` their standard deviations; infinite where the drift starts.
         predicted: `(n, R)` variance of the drift before each reading.
         gain: `(n, R)`.
+        level: after the last reading.
     """
 
     white: FloatArray
     spread: FloatArray
     predicted: FloatArray
     gain: FloatArray
+    level: Level
 
 
-def filtered(drift: Drift, columns: FloatArray, ratios: FloatArray | None = None) -> _Filtered:
-    """Return columns `(n, m, q)` as innovations of a Kalman filter over the drift."""
+def filtered(
+    drift: Drift,
+    columns: FloatArray,
+    ratios: FloatArray | None = None,
+    known: Level | None = None,
+) -> _Filtered:
+    """Return columns `(n, m, q)` as innovations of a Kalman filter over the drift.
+
+    Args:
+        drift: noise of the readings.
+        columns: `(n, m, q)`.
+        ratios: `(R,)` to filter with; None: that of the drift.
+        known: after the first reading, which then is not counted again.
+    """
     ratios = np.array([drift.ratio]) if ratios is None else ratios
     count, size = len(columns), len(ratios)
     steps = np.diff(drift.times, prepend=drift.times[:1])
@@ -115,7 +144,7 @@ def filtered(drift: Drift, columns: FloatArray, ratios: FloatArray | None = None
     variance = np.zeros(size)
     for k in range(count):
         if drift.breaks[k]:
-            variance = np.full(size, noise[k])
+            variance = np.full(size, noise[k]) if k or known is None else known.variance
             continue
         prior = variance + ratios * steps[k]
         total = prior + noise[k]
@@ -123,14 +152,17 @@ def filtered(drift: Drift, columns: FloatArray, ratios: FloatArray | None = None
         spread[k], predicted[k] = total, prior
         variance = gain[k] * noise[k]
     spread = np.sqrt(spread)
-    white = np.empty((count, size, *columns.shape[1:]))
+    white = np.empty((count, size, *columns.shape[1:]), dtype=columns.dtype)
     level = np.broadcast_to(columns[0], white.shape[1:])
+    if known is not None:
+        level, gain[0] = level + known.lead, 0.0
     shaped = gain[:, :, None, None]
     for k in range(count):
         innovation = columns[k] - level
         white[k] = innovation
         level = level + shaped[k] * innovation
-    return _Filtered(white / spread[:, :, None, None], spread, predicted, gain)
+    end = Level(variance, level - columns[-1])
+    return _Filtered(white / spread[:, :, None, None], spread, predicted, gain, end)
 
 
 def fit_drifting(
@@ -257,15 +289,26 @@ def _scores(seen: _Filtered) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(seen: _Filtered, at: int, coefficients: FloatArray) -> FloatArray:
-    """Return the weight of each reading, judged as if it had the noise of a good one."""
-    white, spread = seen.white[:, at], seen.spread[:, at]
+    """Return the weight of each reading by what coefficients leave of it."""
+    white = seen.white[:, at]
     left = white[..., 0] - white[..., 1:] @ coefficients
+    return outlier_weights(left, seen.spread[:, at], seen.predicted[:, at])
+
+
+def outlier_weights(left: FloatArray, spread: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Return the weight `(n,)` of each reading, judged as if it had the noise of a good one.
+
+    Args:
+        left: `(n, m)` what the fit leaves of the innovations, of unit variance in units of r.
+        spread: `(n,)` as in `_Filtered`.
+        predicted: `(n,)` likewise.
+    """
     used = np.isfinite(spread)
     scale = _robust_std(left[used])
     plain = np.where(used, spread, 0.0)[:, None] * left
-    size = np.sqrt(np.mean(plain**2, axis=-1) / (seen.predicted[:, at] + 1.0))
+    size = np.sqrt(np.mean(plain**2, axis=-1) / (predicted + 1.0))
     relative = OUTLIER_FROM * max(scale, NOTHING) / np.maximum(size, NOTHING)
-    return np.asarray(np.minimum(1.0, relative) ** 4)
+    return np.asarray(np.clip(relative, LEAST_WEIGHT**0.25, 1.0) ** 4)
 
 
 def _robust_std(values: FloatArray) -> float:
@@ -300,10 +343,10 @@ def _covariance(
     blocks = len(np.unique(block))
     growth = blocks / max(blocks - columns.shape[-1], 1)
     sandwich = growth * bread @ sums.T @ sums @ bread.T
-    return _larger(model, sandwich) / np.outer(scale, scale)
+    return larger_covariance(model, sandwich) / np.outer(scale, scale)
 
 
-def _larger(one: FloatArray, other: FloatArray) -> FloatArray:
+def larger_covariance(one: FloatArray, other: FloatArray) -> FloatArray:
     """Return a covariance that is nowhere smaller than either of two."""
     values, axes = np.linalg.eigh(0.5 * (one + one.T))
     root = axes * np.sqrt(np.maximum(values, NOTHING))

@@ -12,9 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fnn_ekf_ros.calibration.displacement import DisplacementFit, fit_displacement
-from fnn_ekf_ros.calibration.rotation import YawFit, fit_yaw
+from fnn_ekf_ros.calibration.rotation import YawFit, YawTrack, fit_yaw
 from fnn_ekf_ros.calibration.travel import WheelTravel
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -57,6 +58,7 @@ class YawSource(NamedTuple):
 
     Attributes:
         fit: against the wheels.
+        turned: range of directions that the robot had by it [rad].
         displacement: of the fixes along it; None without fixes.
         handedness: +1 if the fixes' path goes the way the yaw says, -1 if it is mirrored, 0 if that
             cannot be told.
@@ -64,9 +66,10 @@ class YawSource(NamedTuple):
     """
 
     fit: YawFit
-    displacement: DisplacementFit | None
-    handedness: int
-    factor: float
+    turned: float
+    displacement: DisplacementFit | None = None
+    handedness: int = 0
+    factor: float = 1.0
 
     @property
     def usable(self) -> bool:
@@ -121,22 +124,17 @@ def evidence_of(readings: Readings, expected: FloatArray) -> Evidence:
     travel = readings.travel
     fixes = readings.fixes[travel.covers(readings.fixes[:, 0])][:MOST_READINGS]
     with_yaw = fixes[np.isfinite(fixes[:, 3])]
-    fix_fit = None
+    fix_yaw, reference = None, expected
     if _varies(with_yaw[:, 3]):
-        fix_fit = fit_yaw(travel, with_yaw[:, 0], with_yaw[:, 3])
-        if _is_random(travel, with_yaw[:, [0, 3]], fix_fit.coefficients[:2]):
-            fix_fit = None
-    compass = _averaged(readings.compass[travel.covers(readings.compass[:, 0])])[:MOST_READINGS]
-    reference = expected if fix_fit is None else fix_fit.coefficients[:2]
+        fit, track = fit_yaw(travel, with_yaw[:, 0], with_yaw[:, 3])
+        if not _is_random(travel, with_yaw[:, [0, 3]], fit.coefficients[:2]):
+            fix_yaw, reference = _source(travel, fit, track, fixes), fit.coefficients[:2]
+    compass = averaged(readings.compass[travel.covers(readings.compass[:, 0])])[:MOST_READINGS]
     source, random_compass = None, False
     if _varies(compass[:, 1]):
         source = _compass_source(travel, compass, fixes, reference)
         random_compass = source is None
-    return Evidence(
-        compass=source,
-        fix_yaw=None if fix_fit is None else _source(travel, fix_fit, fixes),
-        random_compass=random_compass,
-    )
+    return Evidence(compass=source, fix_yaw=fix_yaw, random_compass=random_compass)
 
 
 def _compass_source(
@@ -149,17 +147,17 @@ def _compass_source(
     """
     times, yaw = compass.T
     if np.ptp(yaw) < NARROW_YAW and _turns(travel, reference) > 1.0:
-        fit = fit_yaw(travel, times, wrap_angle(DEGREES * yaw))
+        fit, track = fit_yaw(travel, times, wrap_angle(DEGREES * yaw))
         scaled = np.column_stack([times, DEGREES * yaw])
-        if not _is_random(travel, scaled, fit.coefficients[:2]) and _agrees(fit, reference, 1.0):
-            return YawSource(fit, None, 0, 1.0 / DEGREES)
+        if not _is_random(travel, scaled, fit.coefficients[:2]) and agrees(fit, reference, 1.0):
+            return YawSource(fit, _turned(travel, track), factor=1.0 / DEGREES)
     for factor in (1.0, DEGREES, -DEGREES):
         start = None if factor == 1.0 else factor * reference
-        fit = fit_yaw(travel, times, yaw, start)
+        fit, track = fit_yaw(travel, times, yaw, start)
         if not _is_random(travel, compass, fit.coefficients[:2]):
-            if factor != 1.0 or _agrees(fit, reference, DEGREES):
-                return YawSource(fit, None, 0, DEGREES)
-            return _source(travel, fit, fixes)
+            if factor != 1.0 or agrees(fit, reference, DEGREES):
+                return YawSource(fit, _turned(travel, track), factor=DEGREES)
+            return _source(travel, fit, track, fixes)
     return None
 
 
@@ -168,36 +166,50 @@ def _turns(travel: WheelTravel, reference: FloatArray) -> float:
     return float(np.ptp(travel.mean_and_half_difference(travel.times) @ reference))
 
 
-def _agrees(fit: YawFit, reference: FloatArray, factor: float) -> bool:
+def agrees(fit: YawFit, reference: FloatArray, factor: float) -> bool:
     """Return whether a yaw turns by a factor further than another one, either way."""
     size = float(np.hypot(*fit.coefficients[:2])) / (factor * float(np.hypot(*reference)) + 1e-300)
     return 1.0 / UNIT_TOLERANCE < size < UNIT_TOLERANCE
 
 
 def _is_random(travel: WheelTravel, readings: FloatArray, coefficients: FloatArray) -> bool:
-    moved = travel.mean_and_half_difference(readings[:, 0]) @ coefficients
+    moved = travel.mean_and_half_difference(readings[:, 0])
+    return bool(abs(np.mean(changes_beside(readings, moved, coefficients))) < RANDOM_BELOW)
+
+
+def changes_beside(
+    readings: FloatArray, moved: FloatArray, coefficients: FloatArray
+) -> NDArray[np.complex128]:
+    """Return the changes of a yaw that the wheels do not explain, as directions `(k,)`.
+
+    Args:
+        readings: `(n, 2)` stamps, yaw [s, rad]; only readings close to each other count.
+        moved: `(n, 2)` travel of the wheels [counts].
+        coefficients: `(2,)` a_s, a_d [rad per count].
+    """
     gaps = np.diff(readings[:, 0])
-    left = (np.diff(readings[:, 1]) - np.diff(moved))[gaps <= np.median(gaps) * 1.5]
-    return bool(abs(np.mean(np.exp(1j * left))) < RANDOM_BELOW)
+    left = np.diff(readings[:, 1]) - np.diff(moved @ coefficients)
+    return np.asarray(np.exp(1j * left[gaps <= np.median(gaps) * 1.5]))
 
 
 def _varies(yaw: FloatArray) -> bool:
     return len(yaw) >= FEWEST_READINGS and bool(np.ptp(yaw) > 1e-6)
 
 
-def _source(travel: WheelTravel, fit: YawFit, fixes: FloatArray) -> YawSource:
+def _source(travel: WheelTravel, fit: YawFit, track: YawTrack, fixes: FloatArray) -> YawSource:
+    turned = _turned(travel, track)
     if len(fixes) < FEWEST_READINGS:
-        return YawSource(fit, None, 0, 1.0)
-    yaw = fit.yaw_at(travel, travel.times)
+        return YawSource(fit, turned)
+    yaw = track.at(travel, travel.times)
     displacement, handedness = fit_displacement(travel, yaw, fixes[:, 0], fixes[:, 1:3])
-    return YawSource(fit, displacement, handedness, 1.0)
+    return YawSource(fit, turned, displacement, handedness)
 
 
 def _likelihood(source: YawSource) -> float:
     return -math.inf if source.displacement is None else source.displacement.log_likelihood
 
 
-def _averaged(readings: FloatArray) -> FloatArray:
+def averaged(readings: FloatArray) -> FloatArray:
     """Return readings `(n, 2)` of stamp and yaw, those of a fast sensor as averages of a few."""
     if len(readings) < 2:
         return readings
@@ -211,7 +223,5 @@ def _averaged(readings: FloatArray) -> FloatArray:
     return np.stack([grouped[:, :, 0].mean(axis=1), yaw], axis=-1)
 
 
-def turned(travel: WheelTravel, fit: YawFit) -> float:
-    """Return the range of directions that the robot had in a drive, by a yaw sensor [rad]."""
-    yaw = fit.yaw_at(travel, travel.times)
-    return float(np.ptp(yaw))
+def _turned(travel: WheelTravel, track: YawTrack) -> float:
+    return float(np.ptp(track.at(travel, travel.times)))

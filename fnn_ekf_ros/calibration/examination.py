@@ -15,11 +15,10 @@ from fnn_ekf_ros.calibration.evidence import (
     Evidence,
     Readings,
     evidence_of,
-    turned,
 )
 from fnn_ekf_ros.calibration.explanation import Explanation, explain
 from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, in_order
-from fnn_ekf_ros.calibration.geometry_findings import Context, geometry_findings
+from fnn_ekf_ros.calibration.geometry_findings import Context, compass_unit, geometry_findings
 from fnn_ekf_ros.calibration.robot import Number
 from fnn_ekf_ros.calibration.travel import wheel_travel
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -113,7 +112,7 @@ def examine(drive: Drive, configured: Mapping[str, Any]) -> Examined:
         return Examined(in_order(findings))
     travel = wheel_travel(
         *(
-            _signed(counter, configured, side)
+            as_counted(counter, configured, side)
             for counter, side in zip(counters, ("left", "right"), strict=True)
         )
     )
@@ -135,22 +134,30 @@ def _compared(
     evidence = evidence_of(readings, np.array([0.0, 2.0 * meters / separation]))
     explanation = explain(evidence, meters, separation)
     if evidence.random_compass:
-        findings = [*findings, _random(readings)]
+        findings = [*findings, random_compass()]
     elif evidence.compass is None and evidence.fix_yaw is None and not findings:
         findings = [_no_yaw()]
     if explanation is None:
-        return Examined(in_order(findings), evidence)
+        return Examined(in_order([*findings, *compass_unit(evidence)]), evidence)
     interval_s = float(np.median(np.diff(readings.travel.times)))
     context = Context(configured, evidence, explanation, interval_s)
+    long_s = float(readings.travel.times[-1] - readings.travel.times[0])
+    found = told_findings(context, long_s)
+    return Examined(in_order([*findings, *found]), evidence, explanation, _estimates(context))
+
+
+def told_findings(context: Context, long_s: float) -> list[Finding]:
+    """Return the findings that a drive of some length [s] can tell, by how far the robot turned."""
+    evidence = context.evidence
     sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
-    rotation = max((turned(readings.travel, each.fit) for each in sources), default=math.inf)
+    rotation = max((each.turned for each in sources), default=math.inf)
     found = geometry_findings(context)
-    if readings.travel.times[-1] - readings.travel.times[0] < SETTLED_S:
-        found = [_as_of_a_short_drive(finding, configured) for finding in found]
+    if long_s < SETTLED_S:
+        found = [_as_of_a_short_drive(finding, context.configured) for finding in found]
     if rotation < LEAST_ROTATION:
         found = [finding for finding in found if finding.name not in NEED_TURNS]
         found.append(_straight(rotation))
-    return Examined(in_order([*findings, *found]), evidence, explanation, _estimates(context))
+    return found
 
 
 def _as_of_a_short_drive(finding: Finding, configured: Mapping[str, Any]) -> Finding:
@@ -176,7 +183,7 @@ def meters_per_count(configured: Mapping[str, Any]) -> float:
     return 2.0 * math.pi * radius / turns
 
 
-def _signed(counter: Counter, configured: Mapping[str, Any], side: str) -> FloatArray:
+def as_counted(counter: Counter, configured: Mapping[str, Any], side: str) -> FloatArray:
     """Return a wheel's counts as the localizer takes them."""
     sign = -1.0 if configured[f"{side}_inverted"] else 1.0
     multiplier = float(configured[f"{side}_wheel_radius_multiplier"])
@@ -291,12 +298,13 @@ def _straight(rotation: float) -> Finding:
     )
 
 
-def _random(readings: Readings) -> Finding:
+def random_compass() -> Finding:
+    """Return what is said of a compass that is random beside the robot's rotation."""
     return Finding(
         "compass_random",
         "the compass has nothing to do with the rotation: degrees taken for radians, a broken "
         "sensor, or another one's topic",
-        f"the changes of {len(readings.compass)} readings have no direction in common",
+        "the changes of its readings have no direction in common",
         Certainty.LIKELY,
     )
 

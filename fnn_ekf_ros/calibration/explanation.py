@@ -15,6 +15,8 @@ numbers free.
 
 import itertools
 import math
+from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -63,11 +65,22 @@ LARGE_ROBOT_COST = 12.0
 """Log odds that such a robot costs [nats]."""
 
 
+AS_CONFIGURED = Wiring()
+"""Signs and units of a robot without a mistake."""
+CHEAPEST = min(COST.values())
+"""Log odds that an explanation with a mistake costs at least [nats]."""
+
+
+Hypothesis = tuple[Wiring, tuple[str, ...]]
+"""Signs and units, and the names of the numbers that differ from the configured ones."""
+
+
 class Explanation(NamedTuple):
     """What explains the evidence best.
 
     Attributes:
         wiring: signs and units.
+        free: numbers that differ from the configured ones.
         wrong: names of the mistakes, of `COST`, with the log odds that each of them has against the
             best explanation without it [nats].
         numbers: `(7,)` `Number`s, all free.
@@ -75,6 +88,7 @@ class Explanation(NamedTuple):
     """
 
     wiring: Wiring
+    free: tuple[str, ...]
     wrong: dict[str, float]
     numbers: FloatArray
     covariance: FloatArray
@@ -113,19 +127,65 @@ def explain(evidence: Evidence, meters_per_count: float, separation: float) -> E
     search = _Search(observed, evidence, direction)
     wirings = _wirings(evidence)
     everything = _loosest(evidence)
+    scored = _scored(observed, direction, [(wiring, everything) for wiring in wirings])
     loose = {
-        wiring: _score(observed, direction, wiring, everything)[0] - _cost(wiring.mistakes())
-        for wiring in wirings
+        wiring: score - _cost(wiring.mistakes())
+        for wiring, score in zip(wirings, scored.scores.tolist(), strict=True)
     }
     least = max(loose.values()) - PRUNED_BELOW
-    for wiring in wirings:
-        if loose[wiring] > least:
-            search.climb(wiring)
+    search.climb([wiring for wiring in wirings if loose[wiring] > least])
     (wiring, free), best = max(search.scores.items(), key=lambda scored: scored[1])
     wrong = {name: best - search.best_without(name) for name in (*wiring.mistakes(), *free)}
     delays = (name for name in free if name.endswith("_delay"))
-    _, numbers, covariance = _score(observed, direction, wiring, (*everything, *delays))
-    return Explanation(wiring, wrong, numbers, covariance)
+    all_free = _scored(observed, direction, [(wiring, (*everything, *delays))])
+    return Explanation(wiring, free, wrong, all_free.numbers[0], all_free.covariances[0])
+
+
+def fit_of(
+    evidence: Evidence,
+    meters_per_count: float,
+    separation: float,
+    wiring: Wiring = AS_CONFIGURED,
+    free: tuple[str, ...] = (),
+) -> float:
+    """Return the log likelihood of a hypothesis with its likeliest numbers [nats], 0 at best.
+
+    Args:
+        evidence: of the readings.
+        meters_per_count: as configured, of both wheels [m per count].
+        separation: as configured, L [m].
+        wiring: signs and units.
+        free: numbers that differ from the configured ones.
+    """
+    if not _fits_path(wiring, evidence):
+        return -math.inf
+    observed = observed_in(evidence, meters_per_count, separation)
+    if not observed:
+        return 0.0
+    return float(_scored(observed, direction_of(evidence), [(wiring, free)]).scores[0])
+
+
+def fit_at(
+    evidence: Evidence, meters_per_count: float, separation: float, explanation: Explanation
+) -> float:
+    """Return the log likelihood of an explanation with the numbers that it has [nats].
+
+    Args:
+        evidence: of other readings than those that are explained.
+        meters_per_count: as configured, of both wheels [m per count].
+        separation: as configured, L [m].
+        explanation: of these.
+    """
+    if not _fits_path(explanation.wiring, evidence):
+        return -math.inf
+    direction, found = direction_of(evidence), 0.0
+    x, wirings = explanation.numbers[None], np.array([explanation.wiring], dtype=np.float64)
+    for group in observed_in(evidence, meters_per_count, separation):
+        predicted = predicted_of(group.kind, x, wirings, direction)
+        slope = slope_of(group.kind, predicted, direction)
+        left = difference_of(group, seen_as_observed(group, predicted, slope)[0])[0]
+        found -= 0.5 * float(left @ group.precision @ left)
+    return found
 
 
 class _Search:
@@ -142,21 +202,27 @@ class _Search:
     ) -> None:
         self._observed, self._direction = observed, direction
         self._options = _options(evidence)
-        self.scores: dict[tuple[Wiring, tuple[str, ...]], float] = {}
+        self.scores: dict[Hypothesis, float] = {}
 
-    def climb(self, wiring: Wiring) -> None:
-        """Try numbers that are wrong with a wiring, one more at a time while that helps."""
-        free: tuple[str, ...] = ()
-        score = self._tried(wiring, free)
-        while True:
-            more = [tuple(sorted({*free, option})) for option in self._options
-                    if option not in free and _may_join(option, free)]  # fmt: skip
-            fewer = [tuple(name for name in free if name != left) for left in free]
-            scored = {each: self._tried(wiring, each) for each in (*more, *fewer)}
-            best = max(scored, key=scored.__getitem__, default=free)
-            if best == free or scored[best] <= score:
-                return
-            free, score = best, scored[best]
+    def climb(self, wirings: Sequence[Wiring]) -> None:
+        """Try numbers that are wrong with wirings, one more at a time while that helps."""
+        nothing: list[Hypothesis] = [(wiring, ()) for wiring in wirings]
+        best = self._tried(nothing)
+        while best:
+            steps = {each: [(each[0], free) for free in self._next(each[1])] for each in best}
+            self._tried([other for others in steps.values() for other in others])
+            climbed = {}
+            for each, score in best.items():
+                other = max(steps[each], key=self.scores.__getitem__)
+                if self.scores[other] > score:
+                    climbed[other] = self.scores[other]
+            best = climbed
+
+    def _next(self, free: tuple[str, ...]) -> list[tuple[str, ...]]:
+        """Return the sets of numbers with one more or one fewer."""
+        more = [tuple(sorted({*free, option})) for option in self._options
+                if option not in free and _may_join(option, free)]  # fmt: skip
+        return more + [tuple(name for name in free if name != left) for left in free]
 
     def best_without(self, name: str) -> float:
         """Return the log posterior of the best hypothesis without a mistake."""
@@ -167,16 +233,25 @@ class _Search:
         ]
         return max(others, default=-math.inf)
 
-    def _tried(self, wiring: Wiring, free: tuple[str, ...]) -> float:
-        key = (wiring, free)
-        if key not in self.scores:
-            score, numbers, _ = _score(self._observed, self._direction, wiring, free)
-            large = min(numbers[Number.SCALE], numbers[Number.SEPARATION]) > LARGE_ROBOT
-            backward = np.abs(numbers[[Number.COMPASS_OFFSET, Number.FIX_YAW_OFFSET]]) > BACKWARD
-            cost = _cost((*wiring.mistakes(), *free)) + (LARGE_ROBOT_COST if large else 0.0)
-            cost += BACKWARD_COST * float(np.sum(backward))
-            self.scores[key] = score - cost
-        return self.scores[key]
+    def _tried(self, hypotheses: Sequence[Hypothesis]) -> dict[Hypothesis, float]:
+        """Return the log posteriors of hypotheses."""
+        new = [each for each in dict.fromkeys(hypotheses) if each not in self.scores]
+        if new:
+            scored = _scored(self._observed, self._direction, new)
+            for hypothesis, score, numbers in zip(
+                new, scored.scores.tolist(), scored.numbers, strict=True
+            ):
+                self.scores[hypothesis] = score - _posterior_cost(hypothesis, numbers)
+        return {each: self.scores[each] for each in hypotheses}
+
+
+def _posterior_cost(hypothesis: Hypothesis, numbers: FloatArray) -> float:
+    """Return the log odds that a hypothesis costs with its likeliest numbers `(7,)` [nats]."""
+    wiring, free = hypothesis
+    large = min(numbers[Number.SCALE], numbers[Number.SEPARATION]) > LARGE_ROBOT
+    backward = np.abs(numbers[[Number.COMPASS_OFFSET, Number.FIX_YAW_OFFSET]]) > BACKWARD
+    cost = _cost((*wiring.mistakes(), *free)) + (LARGE_ROBOT_COST if large else 0.0)
+    return cost + BACKWARD_COST * float(np.sum(backward))
 
 
 _RATIOS = ("ratio", "left_wheel", "right_wheel")
@@ -246,6 +321,7 @@ def _fits_path(wiring: Wiring, evidence: Evidence) -> bool:
     return True
 
 
+@cache
 def _prior(free: tuple[str, ...]) -> FloatArray:
     """Return the inverse covariance `(7, 7)` of the numbers before the readings."""
     covariance = np.diag(SPIKE_STD**2)
@@ -259,31 +335,50 @@ def _prior(free: tuple[str, ...]) -> FloatArray:
     return np.linalg.inv(covariance)
 
 
-def _score(
-    observed: list[Observed], direction: Direction, wiring: Wiring, free: tuple[str, ...]
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return log posterior, numbers and their covariance by Gauss-Newton."""
-    prior = _prior(free)
-    x = _start(observed, wiring, free)
-    damping, last = 1e-3, math.inf
-    precision = prior
+class _Scored(NamedTuple):
+    """Hypotheses with their likeliest numbers.
+
+    Attributes:
+        scores: `(h,)` log likelihood with the numbers' prior, without costs [nats].
+        numbers: `(h, 7)`.
+        covariances: `(h, 7, 7)` of these.
+    """
+
+    scores: FloatArray
+    numbers: FloatArray
+    covariances: FloatArray
+
+
+def _scored(
+    observed: list[Observed], direction: Direction, hypotheses: Sequence[Hypothesis]
+) -> _Scored:
+    """Return hypotheses with their likeliest numbers, by Gauss-Newton for all of them at once."""
+    wirings = np.array([wiring for wiring, _ in hypotheses], dtype=np.float64)
+    prior = np.stack([_prior(free) for _, free in hypotheses])
+    x = np.stack([_start(observed, wiring, free) for wiring, free in hypotheses])
+    damping, last = 1e-3, np.full(len(x), math.inf)
+    diagonal = np.arange(x.shape[1])
     for _ in range(12):
-        normal, gradient, cost = prior.copy(), prior @ x, float(x @ prior @ x)
+        normal, gradient = prior.copy(), np.einsum("hij,hj->hi", prior, x)
+        cost = np.einsum("hi,hi->h", gradient, x)
         for group in observed:
-            predicted = predicted_of(group.kind, x, wiring, direction)
+            predicted = predicted_of(group.kind, x, wirings, direction)
             slope = slope_of(group.kind, predicted, direction)
             predicted, slope = seen_as_observed(group, predicted, slope)
             left = difference_of(group, predicted)
-            normal += slope.T @ group.precision @ slope
-            gradient -= slope.T @ group.precision @ left
-            cost += float(left @ group.precision @ left)
-        precision = normal
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -gradient)
-        if abs(last - cost) < 1e-6 * (1.0 + cost):
+            weighed = np.swapaxes(slope, 1, 2) @ group.precision
+            normal += weighed @ slope
+            gradient -= np.einsum("hin,hn->hi", weighed, left)
+            cost += np.einsum("hn,hn->h", left @ group.precision, left)
+        moving = np.abs(last - cost) >= 1e-6 * (1.0 + cost)
+        if not moving.any():
             break
+        damped = normal.copy()
+        damped[:, diagonal, diagonal] *= 1.0 + damping
+        step = np.linalg.solve(damped, -gradient[..., None])[..., 0]
         last = cost
-        x = x + np.clip(step, -1.0, 1.0)
-    return -0.5 * cost, x, np.asarray(np.linalg.inv(precision))
+        x = x + np.clip(np.where(moving[:, None], step, 0.0), -1.0, 1.0)
+    return _Scored(-0.5 * cost, x, np.asarray(np.linalg.inv(normal)))
 
 
 def _start(observed: list[Observed], wiring: Wiring, free: tuple[str, ...]) -> FloatArray:

@@ -249,20 +249,23 @@ def _compass(context: Context) -> list[Finding]:
                 (shift,),
             )
         )
-    if evidence.compass is not None and not evidence.compass.usable:
-        factor = evidence.compass.factor
-        found.append(
-            Finding(
-                "compass_degrees",
-                f"the compass turns {factor:.3g} times as far as the robot: degrees taken for "
-                "radians" if factor > 1.0 else
-                f"the compass turns {factor:.3g} times as far as the robot: radians taken for "
-                "degrees",
-                "its driver has to convert; no parameter can undo it",
-                Certainty.CERTAIN,
-            )
-        )  # fmt: skip
-    return found
+    return [*found, *compass_unit(evidence)]
+
+
+def compass_unit(evidence: Evidence) -> list[Finding]:
+    """Return whether the compass turns further than the robot, or less."""
+    if evidence.compass is None or evidence.compass.usable:
+        return []
+    factor = evidence.compass.factor
+    taken = "degrees taken for radians" if factor > 1.0 else "radians taken for degrees"
+    return [
+        Finding(
+            "compass_degrees",
+            f"the compass turns {factor:.3g} times as far as the robot: {taken}",
+            "its driver has to convert; no parameter can undo it",
+            Certainty.CERTAIN,
+        )
+    ]
 
 
 def _fixes(context: Context) -> list[Finding]:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fnn_ekf_ros.calibration.evidence import Evidence
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import FloatArray
 
 
@@ -177,58 +178,71 @@ def direction_of(evidence: Evidence) -> Direction:
     )
 
 
-def predicted_of(kind: str, x: FloatArray, wiring: Wiring, direction: Direction) -> FloatArray:
-    """Return what a robot would show, in the units of `observed_in`."""
-    left = wiring.left * math.exp(x[Number.SCALE] - 0.5 * x[Number.RATIO])
-    right = wiring.right * math.exp(x[Number.SCALE] + 0.5 * x[Number.RATIO])
+def predicted_of(kind: str, x: FloatArray, wirings: FloatArray, direction: Direction) -> FloatArray:
+    """Return what robots would show `(h, n)`, in the units of `observed_in`.
+
+    Args:
+        kind: of what is observed.
+        x: `(h, 7)` `Number`s of each robot.
+        wirings: `(h, 7)` the `Wiring` of each.
+        direction: where the direction of travel comes from.
+    """
+    scale, ratio, separation = (x[:, at] for at in Number if at <= Number.SEPARATION)
+    of_left, of_right, sides, compass, fix_yaw, mirror, unit = wirings.T
+    left, right = of_left * np.exp(scale - 0.5 * ratio), of_right * np.exp(scale + 0.5 * ratio)
     mean, half = 0.5 * (right + left), 0.5 * (right - left)
     if kind != "displacement":
-        hand = wiring.compass if kind == "compass" else wiring.fix_yaw * wiring.mirror
-        turn = hand * wiring.sides * math.exp(-x[Number.SEPARATION])
-        return np.array([turn * half, turn * mean, x[delay_of(kind)]])
+        hand = compass if kind == "compass" else fix_yaw * mirror
+        turn = hand * sides * np.exp(-separation)
+        return np.stack([turn * half, turn * mean, x[:, delay_of(kind)]], axis=-1)
     own, other = direction.offsets
-    late = x[direction.delay] - direction.taken_off_s
-    delay = x[Number.FIX_DELAY] - direction.yaw_share * late
-    return np.array([wiring.unit * mean, wiring.unit * half, x[own], delay, x[other]])
+    late = x[:, direction.delay] - direction.taken_off_s
+    delay = x[:, Number.FIX_DELAY] - direction.yaw_share * late
+    return np.stack([unit * mean, unit * half, x[:, own], delay, x[:, other]], axis=-1)
 
 
 def slope_of(kind: str, predicted: FloatArray, direction: Direction) -> FloatArray:
-    """Return the derivative `(n, 7)` of what a robot would show, by its numbers."""
-    one, other = predicted[:2]
-    slope = np.zeros((len(predicted), len(Number)))
-    slope[:2, Number.SCALE] = one, other
-    slope[:2, Number.RATIO] = 0.5 * other, 0.5 * one
+    """Return the derivative `(h, n, 7)` of what robots would show `(h, n)`, by their numbers."""
+    one, other = predicted[:, 0], predicted[:, 1]
+    slope = np.zeros((*predicted.shape, len(Number)))
+    slope[:, 0, Number.SCALE], slope[:, 1, Number.SCALE] = one, other
+    slope[:, 0, Number.RATIO], slope[:, 1, Number.RATIO] = 0.5 * other, 0.5 * one
     if kind != "displacement":
-        slope[:2, Number.SEPARATION] = -one, -other
-        slope[2, delay_of(kind)] = 1.0
+        slope[:, 0, Number.SEPARATION], slope[:, 1, Number.SEPARATION] = -one, -other
+        slope[:, 2, delay_of(kind)] = 1.0
         return slope
     best, second = direction.offsets
-    slope[2, best] = slope[4, second] = slope[3, Number.FIX_DELAY] = 1.0
-    slope[3, direction.delay] -= direction.yaw_share
+    slope[:, 2, best] = slope[:, 4, second] = slope[:, 3, Number.FIX_DELAY] = 1.0
+    slope[:, 3, direction.delay] -= direction.yaw_share
     return slope
 
 
 def seen_as_observed(
     group: Observed, predicted: FloatArray, slope: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a prediction and its slope with the signs in which displacements were observed.
+    """Return predictions and their slopes with the signs in which displacements were observed.
 
     A displacement backward is one forward in a direction turned by pi.
     """
-    if group.kind != "displacement" or group.values[:2] @ predicted[:2] >= 0.0:
+    if group.kind != "displacement":
         return predicted, slope
-    turned, signs = predicted.copy(), np.array([-1.0, -1.0, 1.0, 1.0, 1.0])
-    turned[_ANGLES] += math.pi
-    return turned * signs, slope * signs[:, None]
+    backward = predicted[:, :2] @ group.values[:2] < 0.0
+    signs = np.where(backward[:, None], _TURNED, 1.0)
+    turned = predicted + np.where(backward[:, None], _HALF_TURN, 0.0)
+    return turned * signs, slope * signs[..., None]
 
 
 def difference_of(group: Observed, predicted: FloatArray) -> FloatArray:
-    """Return observed minus predicted numbers, angles the short way round."""
+    """Return observed minus predicted numbers `(h, n)`, angles the short way round."""
     difference = group.values - predicted
     if group.kind == "displacement":
-        difference[_ANGLES] = [math.remainder(each, 2.0 * math.pi) for each in difference[_ANGLES]]
+        difference[:, _ANGLES] = wrap_angle(difference[:, _ANGLES])
     return difference
 
 
 _ANGLES = [2, 4]
 """Which numbers of a displacement are angles."""
+_TURNED = np.array([-1.0, -1.0, 1.0, 1.0, 1.0])
+"""Signs of a displacement's numbers where it is told in the opposite direction."""
+_HALF_TURN = np.array([0.0, 0.0, math.pi, 0.0, math.pi])
+"""By how much its numbers change then [rad]."""

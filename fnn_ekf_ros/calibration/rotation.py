@@ -57,10 +57,7 @@ class YawFit(NamedTuple):
         noise_std: of one reading [rad].
         explained: share of the yaw's changes, from reading to reading, that the wheels explain.
         readings: number of readings.
-        times: `(n,)` stamps of the readings, by which `level` is given [s].
-        track: `(2,)` a_s, a_d that `level` goes with.
-        level: `(n,)` the yaw, unwrapped, without the wheels' part [rad].
-        level_delay_s: delay that was taken off the stamps for it [s].
+        level_delay_s: delay that was taken off the stamps where the yaw gives directions [s].
     """
 
     coefficients: FloatArray
@@ -68,24 +65,34 @@ class YawFit(NamedTuple):
     noise_std: float
     explained: float
     readings: int
-    times: FloatArray
-    track: FloatArray
-    level: FloatArray
     level_delay_s: float
 
-    def yaw_at(self, travel: WheelTravel, times: FloatArray) -> FloatArray:
-        """Return the yaw, unwrapped, at instants of the wheels' clock [rad].
 
-        The sensor's stamps are put right by `level_delay_s`.
-        """
-        level = np.interp(times, self.times - self.level_delay_s, self.level)
-        return np.asarray(travel.mean_and_half_difference(times) @ self.track + level)
+class YawTrack(NamedTuple):
+    """A yaw that is known at any instant: the wheels' part, and what it leaves of the readings.
+
+    Attributes:
+        times: `(n,)` stamps of the readings [s].
+        slope: `(2,)` a_s, a_d of the wheels' part.
+        level: `(n,)` the yaw, unwrapped, without the wheels' part [rad].
+        delay_s: that is taken off the stamps [s].
+    """
+
+    times: FloatArray
+    slope: FloatArray
+    level: FloatArray
+    delay_s: float
+
+    def at(self, travel: WheelTravel, times: FloatArray) -> FloatArray:
+        """Return the yaw, unwrapped, at instants of the wheels' clock [rad]."""
+        level = np.interp(times, self.times - self.delay_s, self.level)
+        return np.asarray(travel.mean_and_half_difference(times) @ self.slope + level)
 
 
 def fit_yaw(
     travel: WheelTravel, times: FloatArray, yaw: FloatArray, start: FloatArray | None = None
-) -> YawFit:
-    """Return how a sensor's yaw depends on the wheels.
+) -> tuple[YawFit, YawTrack]:
+    """Return how a sensor's yaw depends on the wheels, and the yaw at any instant.
 
     Args:
         travel: of the wheels.
@@ -96,10 +103,10 @@ def fit_yaw(
     breaks = travel.breaks(times)
     columns = travel.mean_and_half_difference(times)
     first = _by_close_readings(times, yaw, columns, breaks) if start is None else start
-    unwrapped = _unwrapped(yaw, columns @ first)
+    unwrapped = unwrapped_beside(yaw, columns @ first)
     for _ in range(2):
         fit = fit_drifting(times, unwrapped[:, None], columns[:, None, :], breaks)
-        unwrapped = _unwrapped(yaw, columns @ fit.coefficients)
+        unwrapped = unwrapped_beside(yaw, columns @ fit.coefficients)
     fit, delay = _aligned(travel, fit, unwrapped)
     if fit.explained >= EXPLAINED:
         coefficients, covariance = _estimated(
@@ -115,17 +122,16 @@ def fit_yaw(
         covariance[:2, :2] += np.outer(half, half)
     delay = float(coefficients[2])
     explained = travel.mean_and_half_difference(times - delay) @ coefficients[:2]
-    return YawFit(
+    found = YawFit(
         coefficients=coefficients,
         covariance=covariance,
         noise_std=fit.noise_std,
         explained=fit.explained,
         readings=len(times),
-        times=times,
-        track=coefficients[:2],
-        level=smoothed(fit.drift, unwrapped - explained),
         level_delay_s=delay,
     )
+    level = smoothed(fit.drift, unwrapped - explained)
+    return found, YawTrack(times, coefficients[:2], level, delay)
 
 
 def _aligned(travel: WheelTravel, fit: DriftFit, unwrapped: FloatArray) -> tuple[DriftFit, float]:
@@ -232,7 +238,7 @@ def _robust(change: FloatArray, moved: FloatArray) -> FloatArray:
     return np.asarray(found / scale)
 
 
-def _unwrapped(yaw: FloatArray, explained: FloatArray) -> FloatArray:
+def unwrapped_beside(yaw: FloatArray, explained: FloatArray) -> FloatArray:
     """Return yaw without wraps: it stays near what the wheels explain, plus a slow difference."""
     residual = yaw - explained
     found = np.empty_like(yaw)
