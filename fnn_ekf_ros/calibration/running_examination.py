@@ -1,0 +1,290 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The examination of a robot while it drives: readings in, findings as long as they hold."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fnn_ekf_ros.calibration.block_sums import LONGEST_STEP_S
+from fnn_ekf_ros.calibration.evidence import Evidence, YawSource
+from fnn_ekf_ros.calibration.examination import (
+    FEWEST_COUNTS,
+    FEWEST_WHEEL_READINGS,
+    GROSS,
+    STILL_RAD,
+    meters_per_count,
+    random_compass,
+    told_findings,
+)
+from fnn_ekf_ros.calibration.explanation import CHEAPEST, Explanation, explain, fit_at, fit_of
+from fnn_ekf_ros.calibration.findings import (
+    CERTAIN_ODDS,
+    NUMBER_ODDS,
+    UNTOLD,
+    Certainty,
+    Finding,
+    in_order,
+)
+from fnn_ekf_ros.calibration.geometry_findings import LEAST_DELAY_S, Context, compass_unit
+from fnn_ekf_ros.calibration.travel import WheelTravel, wheel_travel
+from fnn_ekf_ros.calibration.yaw_blocks import BLOCK_S, MARGIN_S, Segment, YawBlocks
+from fnn_ekf_ros.core.arrays import FloatArray
+
+WAIT_S = 0.5
+"""Time for which readings of a block are waited for [s]."""
+FEWEST_BLOCKS = 4
+"""Number of blocks of driving from which on something is found."""
+RECENT_BLOCKS = 4
+"""Number of the newest blocks that can contradict a finding."""
+EACH_BLOCKS, JUDGED_BLOCKS = 7, 3
+"""Number of blocks up to which each one is followed by a judgment, the first minute, and of how
+many one is later: what is known changes slowly, and a judgment costs as much as ten blocks."""
+LEAST_MISFIT = CHEAPEST + NUMBER_ODDS + CERTAIN_ODDS
+"""Log likelihood that the configuration has to lack for an explanation to be looked for [nats]:
+with less no number can be certain."""
+RENEWED_BLOCKS = 6
+"""Number of blocks after which findings that stand are made anew, with better numbers."""
+LASTING_GAIN = 2.0
+"""Log likelihood by which a finding has to explain each half of the blocks better than the
+configuration does [nats]: what begins while driving is a fault, not a mistake."""
+SPACING_S = {"left": 0.02, "right": 0.02, "compass": 0.02, "fixes": 0.1}
+"""Shortest time between two readings that are kept [s]: nothing changes much within it."""
+SLOWEST_WHEELS_S = 0.5
+"""Longest usual time between two readings of a wheel [s]: in more, a robot turns unevenly, and what
+is interpolated looks like delays and wrong sizes."""
+LEAST_TOLD_DELAY_S = LEAST_DELAY_S + 0.15
+"""Delay that has to be exceeded significantly [s]: a robot that is steered by its true position
+seems to be late by up to 0.15 s."""
+LARGEST_TOLD_DELAY_S = 1.0
+"""Largest delay that is told [s]: errors that last lead to the ends of what is looked for."""
+LONGEST_SILENCE_S = 10.0 * BLOCK_S
+"""Time without a look at the clock after which blocks begin anew [s]."""
+
+
+class Buffers:
+    """Readings of the blocks that are not over yet, each as a row that begins with its stamp."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in SPACING_S}
+
+    def add(self, name: str, row: tuple[float, ...]) -> None:
+        """Keep a reading; of a fast sensor not each."""
+        rows = self._rows[name]
+        if not rows or abs(row[0] - rows[-1][0]) >= SPACING_S[name]:
+            rows.append(row)
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return sum(map(len, self._rows.values()))
+
+    def table(self, name: str, width: int) -> FloatArray:
+        """Return the readings `(n, width)` in the order of their stamps, each stamp once."""
+        table = np.array(self._rows[name], dtype=np.float64).reshape(-1, width)
+        return table[np.unique(table[:, 0], return_index=True)[1]]
+
+    def forget_before(self, time_s: float) -> None:
+        """Drop the readings that are stamped before an instant [s]."""
+        for name, rows in self._rows.items():
+            self._rows[name] = [row for row in rows if row[0] >= time_s]
+
+
+class RunningExamination:
+    """Examines a robot while it drives.
+
+    Args:
+        configured: parameters of the localizer, by name.
+    """
+
+    def __init__(self, configured: Mapping[str, Any]) -> None:
+        self._configured = configured
+        self._meters = meters_per_count(configured)
+        self._separation = float(configured["wheel_separation"])
+        expected = np.array([0.0, 2.0 * self._meters / self._separation])
+        self._still = FEWEST_COUNTS if configured["encoder_source"] == "ticks" else STILL_RAD
+        self._buffers = Buffers()
+        self._compass, self._fix_yaw = YawBlocks(expected), YawBlocks(expected)
+        self._begin_s: float | None = None
+        self._interval_s = math.nan
+        self._explanation: Explanation | None = None
+        self._seen = self._renewed_at = 0
+        self.findings: tuple[Finding, ...] = ()
+
+    def wheel(self, side: str, time_s: float, counts: float) -> None:
+        """Take counts of a wheel in.
+
+        Args:
+            side: left or right.
+            time_s: stamp [s].
+            counts: unwrapped, positive forward by the configuration [counts or rad].
+        """
+        factor = float(self._configured[f"{side}_wheel_radius_multiplier"])
+        self._buffers.add(side, (time_s, factor * counts))
+
+    def compass(self, time_s: float, yaw: float) -> None:
+        """Take a reading of the compass in, as the localizer uses it [s, rad]."""
+        self._buffers.add("compass", (time_s, yaw))
+
+    def fix(self, time_s: float, x: float, y: float, yaw: float) -> None:
+        """Take a fix in, as the localizer uses it [s, m, m, rad]; NaN yaw if that is not used."""
+        self._buffers.add("fixes", (time_s, x, y, yaw))
+
+    def advance(self, now_s: float) -> None:
+        """Look at the blocks that are over at an instant [s]."""
+        if self._begin_s is None or now_s - self._begin_s > LONGEST_SILENCE_S:
+            self._begin_s = now_s
+            return
+        while now_s >= self._begin_s + BLOCK_S + MARGIN_S + WAIT_S:
+            end_s = self._begin_s + BLOCK_S
+            try:
+                with np.errstate(over="raise", divide="raise", invalid="raise"):
+                    self._look_at(self._begin_s, end_s)
+            except (ArithmeticError, np.linalg.LinAlgError):  # numbers of no robot
+                self._forget_all_but(0)
+            self._begin_s = end_s
+            self._buffers.forget_before(end_s - MARGIN_S - LONGEST_STEP_S)
+
+    def _look_at(self, begin_s: float, end_s: float) -> None:
+        segment = self._segment(begin_s, end_s)
+        if segment is not None:
+            self._add(segment)
+            self._judge()
+
+    def _forget_all_but(self, blocks: int) -> None:
+        """Forget findings, and the oldest blocks."""
+        self.findings = ()
+        self._explanation = None
+        self._compass.forget_all_but(blocks)
+        self._fix_yaw.forget_all_but(blocks)
+
+    def _segment(self, begin_s: float, end_s: float) -> Segment | None:
+        """Return the readings of a block; None if the robot did not move in it."""
+        left, right = self._buffers.table("left", 2), self._buffers.table("right", 2)
+        if min(len(left), len(right)) < FEWEST_WHEEL_READINGS // 2:
+            return None
+        travel = wheel_travel(left, right)
+        if len(travel.times) < FEWEST_WHEEL_READINGS // 2 or _moved(travel) < self._still:
+            return None
+        self._interval_s = float(np.median(np.diff(travel.times)))
+        if self._interval_s > SLOWEST_WHEELS_S:
+            return None
+        compass, fixes = self._buffers.table("compass", 2), self._buffers.table("fixes", 4)
+        return Segment(
+            begin_s, end_s, travel,
+            compass[travel.covers(compass[:, 0])], fixes[travel.covers(fixes[:, 0])],
+        )  # fmt: skip
+
+    def _add(self, segment: Segment) -> None:
+        fixes = segment.inside(segment.fixes)
+        if len(fixes) and float(np.max(np.ptp(fixes[:, 1:3], axis=0))) < 0.01:
+            fixes = fixes[:0]
+        self._compass.add(segment, segment.compass, fixes)
+        with_yaw = segment.fixes[np.isfinite(segment.fixes[:, 3])]
+        self._fix_yaw.add(segment, with_yaw[:, [0, 3]], fixes)
+
+    @property
+    def kept(self) -> tuple[int, int]:
+        """Numbers of blocks and of readings that are kept."""
+        return max(len(self._compass), len(self._fix_yaw)), self._buffers.count
+
+    def evidence(self, which: slice = slice(None)) -> Evidence:
+        """Return what some of the blocks say, or all of them."""
+        compass, random = self._compass.source(which)
+        fix_yaw = self._fix_yaw.source(which)[0]
+        if compass is not None and fix_yaw is not None:
+            compass, fix_yaw = _of_one_slip(compass), _of_one_slip(fix_yaw)
+        return Evidence(compass, fix_yaw, random)
+
+    def _judge(self) -> None:
+        """Find out what is wrong after a block."""
+        blocks = max(len(self._compass), len(self._fix_yaw))
+        self._seen += 1
+        later = self._seen > EACH_BLOCKS and self._seen % JUDGED_BLOCKS
+        if blocks < FEWEST_BLOCKS or later:
+            return
+        if self.findings and self._is_over():
+            self._forget_all_but(RECENT_BLOCKS)
+            return
+        if self.findings and self._seen < self._renewed_at:
+            return
+        found = self._found(self.evidence(), BLOCK_S * blocks)
+        if found:
+            self.findings, self._renewed_at = found, self._seen + RENEWED_BLOCKS
+
+    def _found(self, evidence: Evidence, long_s: float) -> tuple[Finding, ...]:
+        """Return what is wrong by all blocks, if it is so in each half of them."""
+        if evidence.random_compass:
+            halves = [self.evidence(half).random_compass for half in self._halves()]
+            return (random_compass(),) if all(halves) else ()
+        unit = compass_unit(evidence)
+        if not unit and self._fit(evidence) > -LEAST_MISFIT:
+            return ()
+        explanation = explain(evidence, self._meters, self._separation)
+        if explanation is None:
+            halves = [compass_unit(self.evidence(half)) == unit for half in self._halves()]
+            return tuple(unit) if all(halves) else ()
+        context = Context(self._configured, evidence, explanation, self._interval_s)
+        found = [
+            each for each in told_findings(context, long_s) if _is_told(each, self._configured)
+        ]
+        if not found or not self._lasts(explanation):
+            return ()
+        self._explanation = explanation
+        return in_order(found)
+
+    def _fit(self, evidence: Evidence, explanation: Explanation | None = None) -> float:
+        """Return the log likelihood of an explanation; None: that all is as configured [nats]."""
+        if explanation is None:
+            return fit_of(evidence, self._meters, self._separation)
+        return fit_of(
+            evidence, self._meters, self._separation, explanation.wiring, explanation.free
+        )
+
+    def _halves(self) -> tuple[slice, slice]:
+        half = max(len(self._compass), len(self._fix_yaw)) // 2
+        return slice(0, half), slice(half, None)
+
+    def _lasts(self, explanation: Explanation) -> bool:
+        """Return whether an explanation is better than the configuration in each half."""
+        for half in self._halves():
+            evidence = self.evidence(half)
+            if self._fit(evidence, explanation) - self._fit(evidence) < LASTING_GAIN:
+                return False
+        return True
+
+    def _is_over(self) -> bool:
+        """Return whether the newest blocks contradict the findings."""
+        evidence = self.evidence(slice(-RECENT_BLOCKS, None))
+        if self._explanation is None:
+            return not evidence.random_compass and not compass_unit(evidence)
+        found = fit_at(evidence, self._meters, self._separation, self._explanation)
+        return self._fit(evidence) - found > LASTING_GAIN
+
+
+def _is_told(finding: Finding, configured: Mapping[str, Any]) -> bool:
+    """Return whether a finding is told while driving.
+
+    Numbers have to be certain: a drive is looked at again and again. A delay has to be large.
+    """
+    if finding.certainty is Certainty.POSSIBLE or finding.name in UNTOLD:
+        return False
+    if not finding.name.endswith("_delay"):
+        return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
+    (change,) = finding.changes
+    now = float(configured[change.parameter])
+    low, high = sorted(abs(end - now) for end in (change.low, change.high))
+    same_side = (change.low > now) == (change.high > now)
+    return same_side and low > LEAST_TOLD_DELAY_S and 0.5 * (low + high) <= LARGEST_TOLD_DELAY_S
+
+
+def _of_one_slip(source: YawSource) -> YawSource:
+    """Return one of two sensors' yaws, which see the same slip: together they count as one."""
+    return source._replace(fit=source.fit._replace(covariance=2.0 * source.fit.covariance))
+
+
+def _moved(travel: WheelTravel) -> float:
+    return float(np.sum(np.abs(np.diff(travel.counts, axis=0))))

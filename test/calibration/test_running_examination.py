@@ -1,0 +1,194 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The examination of a robot that drives: sums of blocks say what all readings at once say."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from examined_drives import COUNTS, RADIUS, SEPARATION, drive, parameters
+
+from fnn_ekf_ros.calibration.block_sums import NODES_S, travel_at
+from fnn_ekf_ros.calibration.drift_regression import Drift, filtered
+from fnn_ekf_ros.calibration.examination import Drive, examine
+from fnn_ekf_ros.calibration.running_examination import RunningExamination
+from fnn_ekf_ros.calibration.yaw_blocks import MOST_BLOCKS
+
+LONG_S = 60.0
+"""Length of the drives: within a minute mistakes are named [s]."""
+
+
+def feed(
+    examination: RunningExamination, given: Drive, configured: dict[str, Any]
+) -> Iterator[float]:
+    """Let an examination take a drive in, in the order of stamps; yield each instant [s]."""
+    tables = (given.left, given.right, given.compass, given.fixes)
+    rows = sorted((row[0], kind, tuple(row)) for kind, t in enumerate(tables) for row in t.tolist())
+    for time, kind, row in rows:
+        if kind < 2:
+            side = ("left", "right")[kind]
+            sign = -1.0 if configured[f"{side}_inverted"] else 1.0
+            examination.wheel(side, time, sign * row[1])
+        elif kind == 2:
+            examination.compass(time, row[1])
+        else:
+            examination.fix(*row[:3], row[3] if configured["lrf_use_yaw"] else math.nan)
+        examination.advance(time)
+        yield time
+
+
+def examined(given: Drive, **configured: Any) -> RunningExamination:
+    """Return the examination after a drive."""
+    values = parameters(**configured)
+    examination = RunningExamination(values)
+    for _ in feed(examination, given, values):
+        pass
+    return examination
+
+
+def names(examination: RunningExamination) -> list[str]:
+    return [finding.name for finding in examination.findings]
+
+
+def with_compass(given: Drive, change: Any, since_s: float = 0.0) -> Drive:
+    yaw = np.where(given.compass[:, 0] >= since_s, change(given.compass[:, 1]), given.compass[:, 1])
+    wrapped = np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi
+    return given._replace(compass=np.column_stack([given.compass[:, 0], wrapped]))
+
+
+def test_travel_between_the_nodes_is_that_of_a_cubic() -> None:
+    for delay in (-1.4, -0.31, 0.0, 0.07, 0.9, 1.45):
+        weights, slopes = travel_at(delay)
+        values = 1.0 - 2.0 * NODES_S + 0.5 * NODES_S**2 + 0.3 * NODES_S**3
+        assert weights @ values == pytest.approx(
+            1.0 - 2.0 * delay + 0.5 * delay**2 + 0.3 * delay**3
+        )
+        assert slopes @ values == pytest.approx(-2.0 + delay + 0.9 * delay**2)
+
+
+def test_a_filter_goes_on_where_it_was() -> None:
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.1, 0.5, 30))
+    columns = np.cumsum(rng.standard_normal((30, 1, 3)), axis=0)
+    breaks = np.arange(30) == 0
+    ratios = np.array([0.01, 1.0])
+    whole = filtered(Drift(times, breaks, np.ones(30), 0.1), columns, ratios)
+    first = filtered(Drift(times[:12], breaks[:12], np.ones(12), 0.1), columns[:12], ratios)
+    # From its last reading on, counted from another zero.
+    rest = Drift(times[11:], breaks[:19], np.ones(19), 0.1)
+    second = filtered(rest, columns[11:] + 7.0, ratios, first.level)
+    np.testing.assert_allclose(second.white[1:], whole.white[12:], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(second.spread[1:], whole.spread[12:])
+    assert np.all(second.white[0] == 0.0)
+
+
+def test_blocks_say_what_all_readings_say() -> None:
+    given = drive(1, 90.0)
+    at_once = examine(given, parameters()).evidence
+    by_blocks = examined(given).evidence()
+    assert at_once is not None
+    one, other = at_once.compass, by_blocks.compass
+    assert one is not None
+    assert other is not None
+    assert one.displacement is not None
+    assert other.displacement is not None
+    assert one.handedness == other.handedness == 1
+    for fit, second in ((one.fit, other.fit), (one.displacement, other.displacement)):
+        std = np.sqrt(np.diag(fit.covariance))
+        assert np.all(np.abs(fit.coefficients - second.coefficients) < 2.0 * std)
+        assert np.all(np.sqrt(np.diag(second.covariance)) < 2.0 * std)
+        assert second.noise_std == pytest.approx(fit.noise_std, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "configured", "name", "parameter", "value"),
+    [
+        (None, {"encoder_counts_per_revolution": COUNTS / 4.0}, "meters_per_count",
+         "encoder_counts_per_revolution", COUNTS),
+        (None, {"right_inverted": True}, "right_inverted", "right_inverted", False),
+        (None, {"wheel_separation": 100.0 * SEPARATION}, "wheel_separation", "wheel_separation",
+         SEPARATION),
+        (None, {"wheel_radius": 1.2 * RADIUS}, "meters_per_count", "wheel_radius", RADIUS),
+        (lambda yaw: 0.5 * np.pi - yaw, {}, "compass_clockwise", "compass_clockwise", True),
+        (lambda yaw: yaw + 0.7, {}, "compass_offset", "compass_offset", -0.7),
+        (np.radians, {}, "compass_degrees", "", 0.0),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_alone_within_a_minute(
+    change: Any, configured: dict[str, Any], name: str, parameter: str, value: float | bool
+) -> None:
+    given = drive(2, LONG_S)
+    examination = examined(given if change is None else with_compass(given, change), **configured)
+    (finding,) = examination.findings
+    assert finding.name == name
+    told = {each.parameter: each.value for each in finding.changes}
+    if parameter:
+        assert told[parameter] == pytest.approx(value, rel=0.1)
+    else:
+        assert not told
+
+
+def test_swapped_wheels_and_millimeters_are_told() -> None:
+    given = drive(3, LONG_S)
+    assert names(examined(given._replace(left=given.right, right=given.left))) == ["wheels_swapped"]
+    (finding,) = examined(given._replace(fixes=given.fixes * [1.0, 1e3, 1e3, 1.0])).findings
+    assert (finding.name, finding.changes[0].value) == ("fix_unit", 1e-3)
+
+
+@pytest.mark.parametrize("slip", [(0.01, 0.01), (0.08, 0.08)])
+def test_of_a_right_robot_nothing_is_told(slip: tuple[float, float]) -> None:
+    values = parameters(lrf_use_yaw=True)
+    examination = RunningExamination(values)
+    for _ in feed(examination, drive(4, 120.0, slip=slip, compass_std=0.13), values):
+        assert not examination.findings
+
+
+def test_a_sensor_that_is_not_used_is_not_told() -> None:
+    given = drive(2, LONG_S)
+    turned = given._replace(fixes=np.add(given.fixes, [0.0, 0.0, 0.0, 0.6]))
+    assert names(examined(turned)) == []
+    assert names(examined(turned, lrf_use_yaw=True)) == ["fix_yaw_offset"]
+
+
+def test_what_begins_while_driving_is_no_mistake() -> None:
+    values, given = parameters(), drive(5, 100.0)
+    examination = RunningExamination(values)
+    for _ in feed(examination, with_compass(given, lambda yaw: yaw + 1.0, 50.0), values):
+        assert not examination.findings
+
+
+def test_a_finding_stays_until_the_newest_blocks_contradict_it() -> None:
+    values, given = parameters(), drive(6, 150.0)
+    mended = given.compass.copy()
+    given = with_compass(given, lambda yaw: yaw + 0.8)
+    late = given.compass[:, 0] >= 80.0
+    given.compass[late] = mended[late]
+    examination = RunningExamination(values)
+    told = [(time, bool(examination.findings)) for time in feed(examination, given, values)]
+    begun = next(time for time, is_told in told if is_told)
+    assert begun < 60.0
+    ended = max(time for time, is_told in told if is_told)
+    assert all(is_told for time, is_told in told if begun <= time <= ended)
+    assert 85.0 < ended < 140.0
+    assert not examination.findings
+
+
+def test_a_robot_that_never_turns_tells_nothing() -> None:
+    assert names(examined(drive(1, LONG_S, turning=False))) == []
+
+
+def test_memory_is_bounded() -> None:
+    values, given = parameters(), drive(7, 300.0)
+    examination = RunningExamination(values)
+    kept = [examination.kept for _ in feed(examination, given, values)]
+    assert max(blocks for blocks, _ in kept) == MOST_BLOCKS
+    assert max(readings for _, readings in kept) < 20 * 2 * 15 + 10 * 15 + 3 * 15
+
+
+def test_numbers_of_no_robot_end_nothing() -> None:
+    given = drive(1, LONG_S)
+    wild = given._replace(fixes=given.fixes * [1.0, 1e300, 1e300, 1.0])
+    assert names(examined(wild)) == []
