@@ -3,8 +3,8 @@
 
 """`study NAME`: what every filter makes of many runs; tables, figures, JSON.
 
-`study paper`, `grid` and `dynamic` are here; `real`, `faults`, `rates` and `lasting` have their own
-modules.
+`study paper`, `grid` and `dynamic` are here; `real`, `faults`, `mistakes`, `rates` and `lasting`
+have their own modules.
 """
 
 import argparse
@@ -12,7 +12,13 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from typing import NamedTuple
 
-from fnn_ekf_ros.commands import study_faults, study_lasting, study_rates, study_real
+from fnn_ekf_ros.commands import (
+    study_faults,
+    study_lasting,
+    study_mistakes,
+    study_rates,
+    study_real,
+)
 from fnn_ekf_ros.commands.arguments import (
     Count,
     Range,
@@ -61,7 +67,7 @@ class OwnModule(NamedTuple):
 
 OWN_MODULES = {
     module.NAME: OwnModule(module.SUMMARY, module.add_arguments, module.run)
-    for module in (study_real, study_faults, study_rates, study_lasting)
+    for module in (study_real, study_faults, study_mistakes, study_rates, study_lasting)
 }
 """The studies with modules of their own, by name."""
 

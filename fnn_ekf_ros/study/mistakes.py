@@ -1,0 +1,211 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Mistakes of robot, wiring or configuration, one at a time: does the running localizer say so."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+from fnn_ekf_ros.localizer.localizer import Localizer
+from fnn_ekf_ros.membership.files import networks_for
+from fnn_ekf_ros.messages.names import LEFT_TICKS, RIGHT_TICKS
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
+from fnn_ekf_ros.parameters.faults import Bias, Delay, Fault, UnequalWheels, WrongStamp, WrongUnit
+from fnn_ekf_ros.parameters.localizer import LocalizerParameters
+from fnn_ekf_ros.parameters.matching import matching_localizer
+from fnn_ekf_ros.parameters.paper import SIMULATION_2_STD
+from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.simulation.listening import listen
+from fnn_ekf_ros.study.fault_naming import START_NS, Report
+from fnn_ekf_ros.timeline.events import Level, Status
+
+SLIPS = {"0.5 cm, 0.3 deg": (0.005, 0.005), "5 cm, 3 deg": SIMULATION_2_STD}
+"""Slip of the robots, per 375 ms (m, rad): of good ground, and of the paper's simulation 2."""
+IN_TIME_S = 60.0
+"""Time of driving within which a mistake has to be named [s]."""
+NOTHING = "nothing"
+"""Name of the runs without a mistake."""
+C, L = "compass", "lrf_pose"
+"""Topics of the compass and of the fixes."""
+LATE_S = 0.5
+"""Latency of the sensors that stamp their messages on arrival [s]."""
+
+
+class Mistake(NamedTuple):
+    """A mistake that is there from the start.
+
+    Attributes:
+        name: in tables and on the command line.
+        about: what it is.
+        parameters: those that put it right; any one of them counts. Empty: none can.
+        sensor: status that has to say it.
+        factors: of parameters of the localizer.
+        given: other parameters of the localizer.
+        faults: of the robot's messages.
+        swapped: whether left and right ticks are exchanged.
+    """
+
+    name: str
+    about: str
+    parameters: tuple[str, ...]
+    sensor: str = "encoders"
+    factors: Mapping[str, float] = {}
+    given: Mapping[str, Any] = {}
+    faults: tuple[Fault, ...] = ()
+    swapped: bool = False
+
+    def topic(self, name: str) -> str:
+        """Return the localizer's topic on which messages of one of the robot's arrive."""
+        exchanged = {LEFT_TICKS: RIGHT_TICKS, RIGHT_TICKS: LEFT_TICKS}
+        return exchanged.get(name, name) if self.swapped else name
+
+    def configured(self, right: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters of the localizer, from those that fit the robot."""
+        changed = {name: right[name] * factor for name, factor in self.factors.items()}
+        return {**right, **changed, **self.given}
+
+
+def _turned(angle: float) -> Bias:
+    return Bias(start=0.0, topic=C, size=(0.0, 0.0, angle))
+
+
+def _late(topic: str) -> tuple[Fault, ...]:
+    return (
+        Delay(start=0.0, topic=topic, size=LATE_S),
+        WrongStamp(start=0.0, topic=topic, size=LATE_S),
+    )
+
+
+_SIZES = ("wheel_radius", "gear_ratio", "encoder_counts_per_revolution")
+"""Parameters of which each one puts the distance per count right."""
+
+MISTAKES: tuple[Mistake, ...] = (
+    Mistake("counts_x4", "four times as many counts per revolution as configured", _SIZES,
+            factors={"encoder_counts_per_revolution": 0.25}),
+    Mistake("counts_/4", "a quarter of the configured counts per revolution", _SIZES,
+            factors={"encoder_counts_per_revolution": 4.0}),
+    Mistake("left_inverted", "the left counter runs backward", ("left_inverted",),
+            given={"left_inverted": True}),
+    Mistake("right_inverted", "the right counter runs backward", ("right_inverted",),
+            given={"right_inverted": True}),
+    Mistake("swapped", "left and right ticks are exchanged", (), swapped=True),
+    Mistake("radius", "wheel_radius is 15 % too large", _SIZES, factors={"wheel_radius": 1.15}),
+    Mistake("radius_cm", "wheel_radius in centimeters", _SIZES, factors={"wheel_radius": 100.0}),
+    Mistake("separation", "wheel_separation is 30 % too large", ("wheel_separation",),
+            factors={"wheel_separation": 1.3}),
+    Mistake("separation_cm", "wheel_separation in centimeters", ("wheel_separation",),
+            factors={"wheel_separation": 100.0}),
+    Mistake("ratio", "the left wheel is 10 % smaller than the right one",
+            ("left_wheel_radius_multiplier", "right_wheel_radius_multiplier"),
+            faults=(UnequalWheels(start=0.0, wheel="left", factor=0.9),)),
+    Mistake("gear_ratio", "a gear of 1 to 10 that is not configured", _SIZES,
+            factors={"gear_ratio": 0.1}),
+    Mistake("compass_ned", "the compass counts clockwise from north", ("compass_clockwise",), C,
+            faults=(WrongUnit(start=0.0, topic=C, factor=-1.0), _turned(0.5 * math.pi))),
+    Mistake("compass_mirrored", "the compass counts clockwise", ("compass_clockwise",), C,
+            faults=(WrongUnit(start=0.0, topic=C, factor=-1.0),)),
+    Mistake("compass_degrees", "degrees taken for radians", (), C,
+            faults=(WrongUnit(start=0.0, topic=C, factor=180.0 / math.pi),)),
+    Mistake("compass_radians", "radians taken for degrees", (), C,
+            faults=(WrongUnit(start=0.0, topic=C, factor=math.pi / 180.0),)),
+    Mistake("compass_offset", "the compass is off by 0.7 rad", ("compass_offset",), C,
+            faults=(_turned(0.7),)),
+    Mistake("fix_yaw", "the yaw of the fixes, which is used, is off by 0.6 rad",
+            ("lrf_yaw_offset",), L, given={"lrf_use_yaw": True},
+            faults=(Bias(start=0.0, topic=L, size=(0.0, 0.0, 0.6)),)),
+    Mistake("fixes_mm", "fixes in millimeters", ("lrf_pose_scale",), L,
+            faults=(WrongUnit(start=0.0, topic=L, factor=1000.0),)),
+    Mistake("fixes_late", "fixes 0.5 s late and stamped on arrival", ("lrf_pose_delay",), L,
+            faults=_late(L)),
+    Mistake("compass_late", "the compass 0.5 s late and stamped on arrival", ("compass_delay",), C,
+            faults=_late(C)),
+)  # fmt: skip
+"""Mistakes, with their sizes."""
+
+
+class Told(NamedTuple):
+    """What diagnostics say of a mistake.
+
+    Attributes:
+        mistake: its name, or `NOTHING`.
+        slip: of the robot, a key of `SLIPS`.
+        seed: of the robot.
+        named_s: time of driving from which on it is named, with its parameter, until the end; NaN:
+            it is not [s].
+        value: the parameter and the value to set by the last report.
+        others: sensors that are not OK after that time.
+        wrong: messages of other mistakes, at any time.
+        warned: reports above OK, from when the filter runs.
+        reports: number of all of them.
+    """
+
+    mistake: str
+    slip: str
+    seed: int
+    named_s: float
+    value: str
+    others: tuple[str, ...]
+    wrong: tuple[str, ...]
+    warned: int
+    reports: int
+
+    @property
+    def in_time(self) -> bool:
+        """Whether it was named in time and to the end."""
+        return self.named_s <= IN_TIME_S
+
+
+def follow_mistake(name: str, slip: str, seed: int, path: str, duration_s: float) -> Told:
+    """Return what diagnostics say of a robot with a mistake, or with none."""
+    mistake = next((each for each in MISTAKES if each.name == name), None)
+    robot = FakeRobotParameters(path=path, seed=seed, slip_std=SLIPS[slip])
+    reports = list(_reports(mistake, robot, duration_s))
+    named_s, value, others, wrong = math.nan, "", set[str](), dict[str, None]()
+    for report in reports:
+        right = False
+        for status in report.statuses:
+            if _MISTAKE not in dict(status.values):
+                continue
+            if mistake is not None and _is_named(mistake, status):
+                right, value = True, dict(status.values).get(_FITTING, "")
+            else:
+                wrong[status.message] = None
+        if not right:
+            named_s, others = math.nan, set()
+        elif math.isnan(named_s):
+            named_s = report.time_s
+        if right and mistake is not None:
+            others |= report.named() - {mistake.sensor}
+    warned = sum(report.level > Level.OK for report in reports)
+    return Told(
+        name, slip, seed, named_s, value, tuple(sorted(others)), tuple(wrong), warned, len(reports)
+    )
+
+
+_MISTAKE, _FITTING = "mistake", "parameter that would fit"
+"""Keys of the values of a status that tells a mistake."""
+
+
+def _is_named(mistake: Mistake, status: Status) -> bool:
+    fitting = dict(status.values).get(_FITTING, "")
+    named = {text.split(":")[0] for text in fitting.split("; ")} - {""}
+    expected = set(mistake.parameters)
+    return status.name == mistake.sensor and (bool(named & expected) if expected else not named)
+
+
+def _reports(
+    mistake: Mistake | None, robot: FakeRobotParameters, duration_s: float
+) -> Iterator[Report]:
+    """Yield what diagnostics say, from when the filter runs."""
+    right = asdict(matching_localizer(robot)) | {"process_noise_std": SIMULATION_2_STD}
+    given = right if mistake is None else mistake.configured(right)
+    parameters = build(LocalizerParameters, given)
+    localizer = Localizer(parameters, networks_for(parameters))
+    faults = () if mistake is None else mistake.faults
+    for heard in listen(robot, parameters, START_NS, duration_s, faults):
+        topic = heard.topic if mistake is None else mistake.topic(heard.topic)
+        for output in localizer.receive(topic, heard.message, heard.now_ns).outputs:
+            if output.statuses is not None and output.estimate is not None:
+                yield Report((output.stamp_ns - START_NS) * 1e-9, output.statuses)
