@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from documents import ROOT, read
 
+from fnn_ekf_ros.calibration import block_sums, running_examination, yaw_blocks
 from fnn_ekf_ros.core import frozen, joint, relocation, sensor_lag, suspects
 from fnn_ekf_ros.core.lasting import compass_offset, members
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
@@ -123,6 +124,22 @@ THRESHOLDS = (
     Threshold("late stamps: readings in a block", sensor_lag.BLOCK_READINGS),
     Threshold("late stamps: largest lag that is reported", sensor_lag.LARGEST_LAG, "s"),
     Threshold("late stamps: memory for the blocks", sensor_lag.LAG_MEMORY_S, "s"),
+    Threshold("mistakes: duration of a block", yaw_blocks.BLOCK_S, "s"),
+    Threshold("mistakes: blocks of driving from which on one is told",
+              running_examination.FEWEST_BLOCKS),
+    Threshold("mistakes: blocks that are kept", yaw_blocks.MOST_BLOCKS),
+    Threshold("mistakes: newest blocks that can contradict one",
+              running_examination.RECENT_BLOCKS),
+    Threshold("mistakes: log likelihood that each half of the blocks has to gain by one",
+              running_examination.LASTING_GAIN, "nats"),
+    Threshold("mistakes: delay that has to be exceeded significantly",
+              running_examination.LEAST_TOLD_DELAY_S, "s"),
+    Threshold("mistakes: largest delay that is told",
+              running_examination.LARGEST_TOLD_DELAY_S, "s"),
+    Threshold("mistakes: longest time between two readings of a wheel",
+              running_examination.SLOWEST_WHEELS_S, "s"),
+    Threshold("mistakes: longest time between two readings of a sensor that are compared",
+              block_sums.LONGEST_STEP_S, "s"),
     Threshold("degraded: time of driving without an accepted fix or yaw",
               S * filter_status.NOT_CORRECTED_NS, "s"),
     Threshold("lost: standard deviation of the position", filter_status.LOST_POSITION_STD, "m"),

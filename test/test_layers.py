@@ -40,7 +40,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "membership": {"core", "errors", "files", "parameters"},
     "timeline": {"core", "parameters"},
     "messages": {"core", "parameters", "timeline"},
-    "diagnostics": {"core", "parameters", "timeline"},
+    "diagnostics": {"calibration", "core", "parameters", "timeline"},
     "localizer": {"core", "diagnostics", "errors", "files", "messages", "parameters", "timeline"},
     "recordings": {
         "calibration", "core", "diagnostics", "errors", "files", "localizer", "messages",

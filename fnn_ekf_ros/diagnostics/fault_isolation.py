@@ -181,6 +181,15 @@ def with_doubtful_yaw(found: FaultIsolation, sensor: Sensor, *, turned: bool) ->
     return found._replace(named=None, suspects=_in_order({sensor, *found.suspects}), sizes=None)
 
 
+def without_unused(found: FaultIsolation, unused: set[Sensor]) -> FaultIsolation:
+    """Return the result without sensors of which there is no reading: they cannot be the cause."""
+    suspects = tuple(sensor for sensor in found.suspects if sensor not in unused)
+    if suspects == found.suspects:
+        return found
+    named = suspects[0] if len(suspects) == 1 else None
+    return found._replace(named=named, suspects=suspects)
+
+
 def _by_leads(recent: RecentPeriods) -> FaultIsolation:
     """Return the first suspect if its lead is clear and lasts, otherwise all that are close."""
     leads = recent.leads[-1].leads

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fnn_ekf_ros.calibration.findings import Finding
 from fnn_ekf_ros.core.adaptation import AdaptationMode
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.joint_state import noise_without_alarms
@@ -23,6 +24,7 @@ from fnn_ekf_ros.diagnostics.messages import (
     fill,
     join,
 )
+from fnn_ekf_ros.diagnostics.mistakes import filter_messages
 from fnn_ekf_ros.diagnostics.noise_words import Values, noise_in_words
 from fnn_ekf_ros.diagnostics.recent_periods import RecentPeriods
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -69,6 +71,7 @@ class FilterFacts(NamedTuple):
         estimate: of the last period; None without one.
         recent: the last periods; None before the filter runs.
         found: the sensor that does not fit the others.
+        mistakes: of robot, wiring or configuration.
         lasting: what is believed of errors that last; None where they are not followed.
         mode: the adaptation in use.
         moved: a move of the pose that has not been reported yet.
@@ -81,6 +84,7 @@ class FilterFacts(NamedTuple):
     estimate: Estimate | None
     recent: RecentPeriods | None
     found: FaultIsolation
+    mistakes: tuple[Finding, ...]
     lasting: LastingReport | None
     mode: AdaptationMode
     moved: Move | None
@@ -113,9 +117,10 @@ def filter_status(parameters: LocalizerParameters, facts: FilterFacts) -> Status
         *lost,
         *([failure] if failure else []),
         *([FilterMessage.MOVED] if facts.moved is not None else []),
+        *filter_messages(facts.mistakes),
         *_isolation_messages(facts.found),
         *degraded,
-        *_at_bounds(parameters, facts.mode, state),
+        *(() if facts.mistakes else _at_bounds(parameters, facts.mode, state)),
     ]
     if not troubles:
         return Status(name="filter", level=Level.OK, message=FilterMessage.RUNNING, values=values)

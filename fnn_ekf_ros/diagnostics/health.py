@@ -198,7 +198,7 @@ class HealthSummary(NamedTuple):
     travel: TravelRatios
     sensors: tuple[SensorHealth, ...]
     lasting: str
-    fitting: tuple[tuple[str, float], ...]
+    fitting: tuple[tuple[str, bool | float | str], ...]
     moves: int
     last_move: Move | None
 

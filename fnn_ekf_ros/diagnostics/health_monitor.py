@@ -105,7 +105,7 @@ class HealthMonitor:
         self._reports: dict[str, _Reports] = {}
         self._last_values: dict[str, dict[str, str]] = {}
         self._received_before: dict[Sensor, int] = {}
-        self._fitting: dict[str, float] = {}
+        self._fitting: dict[str, bool | float | str] = {}
         self._judged = {sensor: _Judged() for sensor in (Sensor.COMPASS, Sensor.LRF_POSE)}
         self._travel = Travel(parameters.period)
         self._state: FilterState | None = None

@@ -217,7 +217,7 @@ def _status(status: StatusHealth) -> str:
     at_end = " and at the end" if status.last is not Level.OK else ""
     values = dict(status.values)
     fitting = fitting_parameters(status.values).items()
-    shown = [f"{name} {_number(value)} would fit" for name, value in fitting]
+    shown = [f"{name} {_shown(value)} would fit" for name, value in fitting]
     shown += [f"{key.removesuffix(' [%]')} {values[key]} %" for key in SIZE_KEYS if key in values]
     detail = f" ({', '.join(shown)})" if shown else ""
     return f"{status.name} {levels} of the time{at_end}: {status.message}{detail}"
@@ -316,6 +316,13 @@ def _times(count: int) -> str:
 
 def _share(count: int, status: StatusHealth) -> float:
     return count / status.reports if status.reports else 0.0
+
+
+def _shown(value: bool | float | str) -> str:
+    """Return a parameter's value as it is written in a file of parameters."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else _number(value)
 
 
 def _number(value: float) -> str:

@@ -80,6 +80,20 @@ class EncoderMessage(StrEnum):
     WHEEL_LARGER = (
         "disagree with the compass and the fixes: the <wheel> wheel travels more than it counts"
     )
+    WRONG_SIZE = (
+        "the wheels travel more or less than they count: set wheel_radius, gear_ratio or "
+        "encoder_counts_per_revolution"
+    )
+    WRONG_SEPARATION = "the robot rotates more or less than the wheels count: set wheel_separation"
+    UNEQUAL = (
+        "one wheel travels further per count than the other: set left_wheel_radius_multiplier or "
+        "right_wheel_radius_multiplier"
+    )
+    LEFT_BACKWARD = "the left counter runs the other way: change left_inverted"
+    RIGHT_BACKWARD = "the right counter runs the other way: change right_inverted"
+    SWAPPED = (
+        "left and right wheel are swapped: remap left_ticks and right_ticks, or exchange joints"
+    )
 
 
 class SensorMessage(StrEnum):
@@ -101,6 +115,26 @@ class SensorMessage(StrEnum):
     AFFECTED = "received, does not fit the other sensors, but need not be the cause"
 
 
+class CompassMessage(StrEnum):
+    """Mistakes in the status `compass`."""
+
+    CLOCKWISE = "the compass counts clockwise: change compass_clockwise and set compass_offset"
+    DEGREES = "the compass takes degrees for radians or radians for degrees: mend its driver"
+    RANDOM = "the compass has nothing to do with the rotation: check its unit, driver and topic"
+    OFF = "the compass is off by a constant angle: set compass_offset"
+    DELAYED = "the stamps of the compass are late or early: set compass_delay"
+
+
+class FixMessage(StrEnum):
+    """Mistakes in the status `lrf_pose`."""
+
+    YAW_OFF = "the yaw of the fixes is off by a constant angle: set lrf_yaw_offset"
+    YAW_CLOCKWISE = "the yaw of the fixes counts clockwise: mend its driver"
+    MIRRORED = "the fixes are mirrored: check the axes of their frame"
+    UNIT = "the fixes are not in meters: set lrf_pose_scale"
+    DELAYED = "the stamps of the fixes are late or early: set lrf_pose_delay"
+
+
 class FilterMessage(StrEnum):
     """Messages of the status `filter`."""
 
@@ -114,6 +148,7 @@ class FilterMessage(StrEnum):
     PERIOD_FAILED = "a period failed: its measurements are left out"
     RESTARTED = "a period failed: the filter starts anew"
     MOVED = "the robot was carried, or the fixes jumped: pose moved to where the fixes agree"
+    MISTAKE = "a mistake of robot, wiring or configuration: see <sensor>"
     WHEELS_DISAGREE = "encoders disagree with the compass and the fixes"
     SENSOR_DISAGREES = "<measuring sensor> disagrees with <others>"
     CONTRADICTION = "measurements contradict each other: <sensors> is wrong"
@@ -157,6 +192,8 @@ DiagnosticMessage = (
     InputMessage
     | EncoderMessage
     | SensorMessage
+    | CompassMessage
+    | FixMessage
     | FilterMessage
     | TimeMessage
     | TransformMessage
@@ -166,8 +203,8 @@ DiagnosticMessage = (
 
 MESSAGES: dict[str, tuple[DiagnosticMessage, ...]] = {
     "encoders": (*InputMessage, *EncoderMessage),
-    "compass": (*InputMessage, *SensorMessage),
-    "lrf_pose": (*InputMessage, *SensorMessage),
+    "compass": (*InputMessage, *SensorMessage, *CompassMessage),
+    "lrf_pose": (*InputMessage, *SensorMessage, *FixMessage),
     "filter": tuple(FilterMessage),
     "time": tuple(TimeMessage),
     "tf": tuple(TransformMessage),
@@ -194,10 +231,21 @@ def fitting_value(parameter: str, value: float) -> tuple[str, str]:
     return FITTING, f"{parameter}: {value:.2f}"
 
 
-def fitting_parameters(values: Iterable[tuple[str, str]]) -> dict[str, float]:
-    """Return the parameters that `fitting_value` has put among the values of a status."""
-    texts = (text.split(": ") for key, text in values if key == FITTING)
-    return {parameter: float(number) for parameter, number in texts}
+def fitting_parameters(values: Iterable[tuple[str, str]]) -> dict[str, bool | float | str]:
+    """Return the parameters and values that stand under `FITTING` among those of a status."""
+    texts = (text for key, all_ in values if key == FITTING for text in all_.split(SEPARATOR))
+    pairs = (text.split(": ", 1) for text in texts)
+    return {parameter: _read(value) for parameter, value in pairs}
+
+
+def _read(text: str) -> bool | float | str:
+    """Return a parameter's value as it was before it became text."""
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def dropped_key(name: str) -> str:

@@ -21,6 +21,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     isolate_fault,
     symptoms_of,
     with_doubtful_yaw,
+    without_unused,
 )
 from fnn_ekf_ros.diagnostics.filter_status import Failures, FilterFacts, filter_status
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, frozen_sensors
@@ -39,6 +40,7 @@ from fnn_ekf_ros.diagnostics.messages import (
     fill,
     join,
 )
+from fnn_ekf_ros.diagnostics.mistakes import Mistakes, with_mistakes
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.diagnostics.recent_periods import (
     RecentPeriods,
@@ -106,6 +108,7 @@ class DiagnosticsReport:
         self._newly_left_out: Counter[Sensor] = Counter()
         self._new_refusal: dict[Sensor, str] = {}
         self._encoders = EncoderStatus(parameters)
+        self._mistakes = Mistakes(parameters)
         self._time = TimeStatus()
         self._failures = Failures()
         self._explained_by: dict[Sensor, int] = {}
@@ -114,6 +117,7 @@ class DiagnosticsReport:
     def changed(self, parameters: LocalizerParameters) -> None:
         """Go on with other parameters."""
         self._parameters = parameters
+        self._mistakes = Mistakes(parameters)
 
     def took(self, event: Event, change: BufferChange) -> None:
         """Count an event that was taken in, and what it changed."""
@@ -127,6 +131,7 @@ class DiagnosticsReport:
             return
         if change.out_of_order:
             self._time.out_of_order()
+        self._mistakes.took(event, change)
         if isinstance(event, WheelCount):
             self._heard[Sensor.ENCODERS].at(event.stamp_ns)
             self._encoders.saw(event, change)
@@ -185,6 +190,7 @@ class DiagnosticsReport:
         self._stood_ns = 0
         self._failures = self._failures._replace(end_ns=None)
         self._encoders.restarted()
+        self._mistakes = Mistakes(self._parameters)
         self._explained_by.clear()
         self._reported_move = None
 
@@ -209,6 +215,7 @@ class DiagnosticsReport:
             estimate: what came of it.
         """
         self._encoders.closed(end_ns, complete, counts, estimate)
+        self._mistakes.advance(end_ns)
         period_s = self._parameters.period
         if complete and estimate is not None and stands(estimate.twist * period_s, period_s):
             self._stood_ns += round(period_s * 1e9)
@@ -243,12 +250,18 @@ class DiagnosticsReport:
             refused=Sensor.ENCODERS in self._new_refusal,
         )
         frozen = frozen_sensors(state)
+        mistakes = self._mistakes.findings
         late = late_stamps(self._parameters, recent)
         lasting = _lasting(state)
         offset = None
         if lasting is not None:
             offset = yaw_offset(lasting, self._parameters.compass_offset)
         found = self._isolate(now_ns, encoders, {*frozen, *late}, lasting, recent, mode)
+        if mistakes:  # they explain what does not fit
+            found = NO_FAULT._replace(leads=found.leads)
+            late = {}
+            if not any(finding.name == "compass_offset" for finding in mistakes):
+                offset = None
         moved = new_move(self._reported_move, recent)
         self._reported_move = moved or self._reported_move
         facts = FilterFacts(
@@ -257,6 +270,7 @@ class DiagnosticsReport:
             estimate=estimate,
             recent=recent,
             found=found,
+            mistakes=mistakes,
             lasting=lasting,
             mode=mode,
             moved=moved,
@@ -269,6 +283,7 @@ class DiagnosticsReport:
             filter_status(self._parameters, facts),
             self._time.status(),
         )
+        statuses = tuple(with_mistakes(status, mistakes) for status in statuses)
         self._new_refusal.clear()
         self._newly_left_out.clear()
         self._failures = self._failures._replace(new="")
@@ -316,6 +331,8 @@ class DiagnosticsReport:
         self._explained_by |= dict.fromkeys(faulty, now_ns)
         learning = mode is AdaptationMode.JOINT and now_ns - recent.start_ns < LEARNING_NS
         found = isolate_fault(recent, self._parameters.wheel_separation, learning=learning)
+        unused = {sensor for sensor, heard in self._heard.items() if not heard.count}
+        found = without_unused(found, unused)
         doubtful = None if lasting is None else doubtful_yaw(lasting)
         explained = {
             sensor

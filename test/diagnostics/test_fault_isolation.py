@@ -20,6 +20,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     Scatter,
     isolate_fault,
     symptoms_of,
+    without_unused,
 )
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings
 from fnn_ekf_ros.diagnostics.messages import SensorMessage
@@ -59,6 +60,17 @@ def periods(
 
 def test_nothing_wrong_names_nobody() -> None:
     assert isolated(periods()) == NO_FAULT
+
+
+def test_a_sensor_without_readings_is_no_suspect() -> None:
+    leads = (SUSPECTED_LEAD, SUSPECTED_LEAD - 1.0, 0.0)
+    both = FaultIsolation(None, (Sensor.ENCODERS, Sensor.COMPASS), leads)
+    assert without_unused(both, set()) is both
+    left = without_unused(both, {Sensor.COMPASS})
+    assert (left.named, left.suspects) == (Sensor.ENCODERS, (Sensor.ENCODERS,))
+    alone = FaultIsolation(Sensor.COMPASS, (Sensor.COMPASS,), leads)
+    assert without_unused(alone, {Sensor.COMPASS}).suspects == ()
+    assert without_unused(alone, {Sensor.COMPASS}).named is None
 
 
 @pytest.mark.parametrize("index", range(len(SUSPECTS)))
