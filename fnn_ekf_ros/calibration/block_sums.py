@@ -59,7 +59,7 @@ class BlockSums(NamedTuple):
         plain: `(R, c)` w times w_0, not conjugated: what a mirrored reading has in place of
             `gram[:, 1:, 0]`.
         instruments: `(c, c)` w* w' at one ratio.
-        cross: `(c, c)` w* v', v the innovations with time reversed.
+        cross: `(c, c)` w* v', v the innovations with time reversed; 0 for positions.
         backward: `(c, c)` v* v'.
         spread: `(R,)` sum of the logs of the innovations' standard deviations.
         used: number of innovations.
@@ -108,9 +108,11 @@ def block_sums(
     drift = drift._replace(weights=weights)
     seen = filtered(drift, channels, BLOCK_RATIOS, level)
     forward = np.moveaxis(seen.white[:, :, 0], 0, 1)
-    reversed_ = filtered(drift.backward(), channels[::-1]).white[::-1, 0, 0]
     used = np.isfinite(seen.spread[:, 0])
     at_ratio = forward[ratio]
+    reversed_ = np.zeros_like(at_ratio)  # positions are fitted without instruments
+    if not np.iscomplexobj(columns):
+        reversed_ = filtered(drift.backward(), channels[::-1]).white[::-1, 0, 0]
     sums = BlockSums(
         gram=np.conj(np.swapaxes(forward, 1, 2)) @ forward,
         plain=np.einsum("rkc,rk->rc", forward, forward[..., 0]),
