@@ -165,29 +165,6 @@ def fit_of(
     return float(_scored(observed, direction_of(evidence), [(wiring, free)]).scores[0])
 
 
-def fit_at(
-    evidence: Evidence, meters_per_count: float, separation: float, explanation: Explanation
-) -> float:
-    """Return the log likelihood of an explanation with the numbers that it has [nats].
-
-    Args:
-        evidence: of other readings than those that are explained.
-        meters_per_count: as configured, of both wheels [m per count].
-        separation: as configured, L [m].
-        explanation: of these.
-    """
-    if not _fits_path(explanation.wiring, evidence):
-        return -math.inf
-    direction, found = direction_of(evidence), 0.0
-    x, wirings = explanation.numbers[None], np.array([explanation.wiring], dtype=np.float64)
-    for group in observed_in(evidence, meters_per_count, separation):
-        predicted = predicted_of(group.kind, x, wirings, direction)
-        slope = slope_of(group.kind, predicted, direction)
-        left = difference_of(group, seen_as_observed(group, predicted, slope)[0])[0]
-        found -= 0.5 * float(left @ group.precision @ left)
-    return found
-
-
 class _Search:
     """Hypotheses that were tried, with their log posteriors.
 

@@ -20,7 +20,7 @@ from fnn_ekf_ros.calibration.examination import (
     random_compass,
     told_findings,
 )
-from fnn_ekf_ros.calibration.explanation import CHEAPEST, Explanation, explain, fit_at, fit_of
+from fnn_ekf_ros.calibration.explanation import CHEAPEST, Explanation, explain, fit_of
 from fnn_ekf_ros.calibration.findings import (
     CERTAIN_ODDS,
     NUMBER_ODDS,
@@ -38,8 +38,11 @@ WAIT_S = 0.5
 """Time for which readings of a block are waited for [s]."""
 FEWEST_BLOCKS = 4
 """Number of blocks of driving from which on something is found."""
-RECENT_BLOCKS = 4
+RECENT_BLOCKS = 6
 """Number of the newest blocks that can contradict a finding."""
+OVER_GAIN = 0.5
+"""Log likelihood that a finding gains on these blocks below which it is over [nats]: a number that
+is right gains half a nat by chance."""
 EACH_BLOCKS, JUDGED_BLOCKS = 7, 3
 """Number of blocks up to which each one is followed by a judgment, the first minute, and of how
 many one is later: what is known changes slowly, and a judgment costs as much as ten blocks."""
@@ -261,8 +264,7 @@ class RunningExamination:
         evidence = self.evidence(slice(-RECENT_BLOCKS, None))
         if self._explanation is None:
             return not evidence.random_compass and not compass_unit(evidence)
-        found = fit_at(evidence, self._meters, self._separation, self._explanation)
-        return self._fit(evidence) - found > LASTING_GAIN
+        return self._fit(evidence, self._explanation) - self._fit(evidence) < OVER_GAIN
 
 
 def _is_told(finding: Finding, configured: Mapping[str, Any]) -> bool:
@@ -274,6 +276,8 @@ def _is_told(finding: Finding, configured: Mapping[str, Any]) -> bool:
         return False
     if not finding.name.endswith("_delay"):
         return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
+    if finding.certainty is not Certainty.CERTAIN:
+        return False
     (change,) = finding.changes
     now = float(configured[change.parameter])
     low, high = sorted(abs(end - now) for end in (change.low, change.high))
