@@ -30,6 +30,7 @@ from fnn_ekf_ros.calibration.findings import (
     in_order,
 )
 from fnn_ekf_ros.calibration.geometry_findings import LEAST_DELAY_S, Context, compass_unit
+from fnn_ekf_ros.calibration.rotation import EXPLAINED
 from fnn_ekf_ros.calibration.travel import WheelTravel, wheel_travel
 from fnn_ekf_ros.calibration.yaw_blocks import BLOCK_S, MARGIN_S, Segment, YawBlocks
 from fnn_ekf_ros.core.arrays import FloatArray
@@ -231,9 +232,7 @@ class RunningExamination:
             halves = [compass_unit(self.evidence(half)) == unit for half in self._halves()]
             return tuple(unit) if all(halves) else ()
         context = Context(self._configured, evidence, explanation, self._interval_s)
-        found = [
-            each for each in told_findings(context, long_s) if _is_told(each, self._configured)
-        ]
+        found = [each for each in told_findings(context, long_s) if _is_told(each, context)]
         if not found or not self._lasts(explanation):
             return ()
         self._explanation = explanation
@@ -267,22 +266,32 @@ class RunningExamination:
         return self._fit(evidence, self._explanation) - self._fit(evidence) < OVER_GAIN
 
 
-def _is_told(finding: Finding, configured: Mapping[str, Any]) -> bool:
+def _is_told(finding: Finding, context: Context) -> bool:
     """Return whether a finding is told while driving.
 
-    Numbers have to be certain: a drive is looked at again and again. A delay has to be large.
+    Numbers have to be certain: a drive is looked at again and again. A delay has to be large,
+    and wheels have to explain the sensor well: instruments are weak where they slip much.
     """
     if finding.certainty is Certainty.POSSIBLE or finding.name in UNTOLD:
         return False
     if not finding.name.endswith("_delay"):
         return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
-    if finding.certainty is not Certainty.CERTAIN:
+    if finding.certainty is not Certainty.CERTAIN or _explained(finding, context) < EXPLAINED:
         return False
     (change,) = finding.changes
-    now = float(configured[change.parameter])
+    now = float(context.configured[change.parameter])
     low, high = sorted(abs(end - now) for end in (change.low, change.high))
     same_side = (change.low > now) == (change.high > now)
     return same_side and low > LEAST_TOLD_DELAY_S and 0.5 * (low + high) <= LARGEST_TOLD_DELAY_S
+
+
+def _explained(finding: Finding, context: Context) -> float:
+    """Return the share of a sensor's changes that wheels explain, for a delay of it."""
+    evidence = context.evidence
+    if finding.name == "compass_delay":
+        return 0.0 if evidence.compass is None else evidence.compass.fit.explained
+    best = evidence.best
+    return 0.0 if best is None or best.displacement is None else best.displacement.explained
 
 
 def _of_one_slip(source: YawSource) -> YawSource:

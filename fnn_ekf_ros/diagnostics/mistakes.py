@@ -53,6 +53,9 @@ MESSAGES_OF_FINDINGS: Mapping[str, tuple[Sensor, DiagnosticMessage]] = {
 }
 """Status and message of each finding of `calibration.findings.KINDS` that readings can show."""
 
+LASTING_JUMPS = 3
+"""Consecutive jumps of a wheel from which on they are its motion."""
+
 
 class Mistakes:
     """Examines the events of a localizer.
@@ -74,6 +77,7 @@ class Mistakes:
         }
         self._readings: dict[Wheel, int | float] = {}
         self._counts = dict.fromkeys(Wheel, 0.0)
+        self._jumps = dict.fromkeys(Wheel, 0)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -105,10 +109,15 @@ class Mistakes:
         return (time_ns - self._start_ns) * 1e-9
 
     def _count(self, event: WheelCount, *, jumped: bool) -> None:
-        """Take a wheel's reading in; a jump is no motion."""
+        """Take a wheel's reading in; a jump is no motion, nor is the way back from a glitch.
+
+        A wheel that jumps again and again only is configured far too large.
+        """
         last = self._readings.get(event.wheel)
         self._readings[event.wheel] = event.reading
-        if last is not None and not jumped:
+        before = self._jumps[event.wheel]
+        self._jumps[event.wheel] = before + 1 if jumped else 0
+        if last is not None and (before >= LASTING_JUMPS or not (jumped or before)):
             step = event.reading - last
             if self._modulus is not None:
                 half = self._modulus // 2
@@ -130,15 +139,17 @@ def filter_messages(findings: Sequence[Finding]) -> list[str]:
 
 
 def with_mistakes(status: Status, findings: Sequence[Finding]) -> Status:
-    """Return a sensor's status with what is wrong with it; other faults of it come first."""
+    """Return a sensor's status with what is wrong with it; errors of it come first."""
     own = [each for each in findings if MESSAGES_OF_FINDINGS[each.name][0] == status.name]
     if not own:
         return status
     without = tuple((key, value) for key, value in status.values if key != FITTING)
     status = status._replace(values=(*without, *_values(own)))
-    if status.level is not Level.OK:
+    if status.level is Level.ERROR:
         return status
     messages = [str(MESSAGES_OF_FINDINGS[each.name][1]) for each in own]
+    if status.level is Level.WARN:
+        messages.append(status.message)
     return status._replace(level=Level.WARN, message=join(messages))
 
 

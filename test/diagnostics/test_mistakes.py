@@ -79,6 +79,9 @@ def test_a_fault_comes_before_a_mistake_and_other_sensors_stay_as_they_are() -> 
     silent = Status("encoders", Level.ERROR, "left wheel silent", ())
     assert with_mistakes(silent, (SLOW_COUNTS,)).message == "left wheel silent"
     assert FITTING in dict(with_mistakes(silent, (SLOW_COUNTS,)).values)
+    jumped = Status("encoders", Level.WARN, "jumped", ())
+    told = with_mistakes(jumped, (SLOW_COUNTS,)).message
+    assert told == f"{EncoderMessage.WRONG_SIZE}; jumped"
     compass = Status("compass", Level.OK, "received", ())
     assert with_mistakes(compass, (SLOW_COUNTS,)) == compass
 
@@ -104,11 +107,11 @@ def test_counts_are_unwrapped_and_jumps_are_no_motion() -> None:
 
     mistakes = Mistakes(parameters)
     mistakes._examination = _Examined()  # type: ignore[assignment]
-    came = [(100, 0.0), (120, 0.0), (-126, 0.0), (7, 5.0), (9, 0.0)]
+    came = [(100, 0.0), (120, 0.0), (-126, 0.0), (7, 5.0), (9, 0.0), (11, 0.0)]
     for place, (reading, jump) in enumerate(came):
         event = WheelCount(START_NS + place * 10**8, Wheel.LEFT, reading)
         mistakes.took(event, BufferChange(event.stamp_ns, jump=jump))
-    assert seen == [0.0, -20.0, -30.0, -30.0, -32.0]
+    assert seen == [0.0, -20.0, -30.0, -30.0, -30.0, -32.0]
 
 
 def statuses(
