@@ -144,6 +144,7 @@ COMMANDS = {
             "dynamic --out dynamic --runs 10 --filters joint -p lrf_pose_gate:=0.0",
             "real run --out real --params run.yaml",
             "faults --out faults --runs 2 --faults compass_nan,compass_frozen",
+            "mistakes --out mistakes --seconds 70 --mistakes radius,compass_ned",
             "rates --out rates --runs 4 --fixes 100",
             "lasting --out lasting --runs 4 --steps 200 --json -",
         ),

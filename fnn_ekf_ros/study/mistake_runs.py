@@ -6,8 +6,9 @@
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.reports.progress import with_progress
 from fnn_ekf_ros.study.mistakes import IN_TIME_S, MISTAKES, NOTHING, SLIPS, Told, follow_mistake
 from fnn_ekf_ros.study.report.tables import table
@@ -31,6 +32,7 @@ class MistakePlan(NamedTuple):
         seconds: length of each run [s].
         path: what is driven.
         seed: of the first run.
+        given: parameters of the localizer that the user chose.
     """
 
     names: Sequence[str]
@@ -38,6 +40,7 @@ class MistakePlan(NamedTuple):
     seconds: float
     path: str
     seed: int
+    given: dict[str, Any]
 
 
 class _Run(NamedTuple):
@@ -51,12 +54,13 @@ class _Run(NamedTuple):
 class _Runner:
     """Runs robots with mistakes, in any process."""
 
-    def __init__(self, path: str, seconds: float) -> None:
-        self._path, self._seconds = path, seconds
+    def __init__(self, path: str, seconds: float, given: dict[str, Any]) -> None:
+        self._path, self._seconds, self._given = path, seconds, given
 
     def __call__(self, run: _Run) -> Told:
         """Return what diagnostics say."""
-        return follow_mistake(run.name, run.slip, run.seed, self._path, self._seconds)
+        robot = FakeRobotParameters(path=self._path, seed=run.seed, slip_std=SLIPS[run.slip])
+        return follow_mistake(run.name, run.slip, robot, self._seconds, self._given)
 
 
 def run_mistakes(plan: MistakePlan, jobs: int) -> list[Told]:
@@ -76,7 +80,7 @@ def run_mistakes(plan: MistakePlan, jobs: int) -> list[Told]:
         for number in range(plan.runs)
     ]
     requests = [(f"{run.name}, slip {run.slip}, seed {run.seed}", run) for run in runs]
-    work = in_any_order(jobs, _Runner, requests, plan.path, plan.seconds)
+    work = in_any_order(jobs, _Runner, requests, plan.path, plan.seconds, plan.given)
     with closing(work):
         done = dict(with_progress(work, len(requests), "study mistakes"))
     return [done[number] for number in range(len(requests))]

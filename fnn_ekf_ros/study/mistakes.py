@@ -157,11 +157,41 @@ class Told(NamedTuple):
         return self.named_s <= IN_TIME_S
 
 
-def follow_mistake(name: str, slip: str, seed: int, path: str, duration_s: float) -> Told:
-    """Return what diagnostics say of a robot with a mistake, or with none."""
+def configured(
+    given: Mapping[str, Any],
+    robot: FakeRobotParameters | None = None,
+    mistake: Mistake | None = None,
+) -> LocalizerParameters:
+    """Return the parameters of a robot's localizer.
+
+    Args:
+        given: those that the user chose.
+        robot: None: the default one.
+        mistake: None: there is none.
+
+    Raises:
+        ParameterError: a given one is wrong.
+    """
+    matching = asdict(matching_localizer(robot or FakeRobotParameters()))
+    right = matching | {"process_noise_std": SIMULATION_2_STD} | dict(given)
+    return build(LocalizerParameters, right if mistake is None else mistake.configured(right))
+
+
+def follow_mistake(
+    name: str, slip: str, robot: FakeRobotParameters, duration_s: float, given: Mapping[str, Any]
+) -> Told:
+    """Return what diagnostics say of a robot with a mistake, or with none.
+
+    Args:
+        name: of the mistake, or `NOTHING`.
+        slip: of the robot, a key of `SLIPS`.
+        robot: is driven.
+        duration_s: length of the run [s].
+        given: parameters of the localizer that the user chose.
+    """
     mistake = next((each for each in MISTAKES if each.name == name), None)
-    robot = FakeRobotParameters(path=path, seed=seed, slip_std=SLIPS[slip])
-    reports = list(_reports(mistake, robot, duration_s))
+    parameters = configured(given, robot, mistake)
+    reports = list(_reports(mistake, robot, parameters, duration_s))
     named_s, value, others, wrong = math.nan, "", set[str](), dict[str, None]()
     for report in reports:
         right = False
@@ -180,7 +210,15 @@ def follow_mistake(name: str, slip: str, seed: int, path: str, duration_s: float
             others |= report.named() - {mistake.sensor}
     warned = sum(report.level > Level.OK for report in reports)
     return Told(
-        name, slip, seed, named_s, value, tuple(sorted(others)), tuple(wrong), warned, len(reports)
+        name,
+        slip,
+        robot.seed,
+        named_s,
+        value,
+        tuple(sorted(others)),
+        tuple(wrong),
+        warned,
+        len(reports),
     )
 
 
@@ -196,12 +234,12 @@ def _is_named(mistake: Mistake, status: Status) -> bool:
 
 
 def _reports(
-    mistake: Mistake | None, robot: FakeRobotParameters, duration_s: float
+    mistake: Mistake | None,
+    robot: FakeRobotParameters,
+    parameters: LocalizerParameters,
+    duration_s: float,
 ) -> Iterator[Report]:
     """Yield what diagnostics say, from when the filter runs."""
-    right = asdict(matching_localizer(robot)) | {"process_noise_std": SIMULATION_2_STD}
-    given = right if mistake is None else mistake.configured(right)
-    parameters = build(LocalizerParameters, given)
     localizer = Localizer(parameters, networks_for(parameters))
     faults = () if mistake is None else mistake.faults
     for heard in listen(robot, parameters, START_NS, duration_s, faults):

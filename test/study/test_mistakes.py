@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from commands import Refuse, Succeed
 
+from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.study import mistakes
 from fnn_ekf_ros.study.fault_naming import Report
 from fnn_ekf_ros.study.mistake_runs import mistake_table, summary
@@ -46,7 +47,7 @@ def test_a_mistake_counts_as_named_from_when_it_stays(
     wrong: tuple[str, ...],
 ) -> None:
     monkeypatch.setattr(mistakes, "_reports", lambda *_: iter(reports))
-    told = follow_mistake("radius", SLIP, 1, "square", 3.0)
+    told = follow_mistake("radius", SLIP, FakeRobotParameters(path="square"), 3.0, {})
     assert told.named_s == pytest.approx(named_s, nan_ok=True)
     assert (told.others, told.wrong) == (others, wrong)
     assert told.in_time is not math.isnan(named_s)
@@ -55,7 +56,7 @@ def test_a_mistake_counts_as_named_from_when_it_stays(
 def test_the_table_has_a_row_for_each_mistake_and_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mistakes, "_reports", lambda *_: iter([report(5, WHEELS, Level.OK)]))
     told = [
-        follow_mistake(name, slip, 1, "square", 9.0)
+        follow_mistake(name, slip, FakeRobotParameters(path="square"), 9.0, {})
         for name in ("radius", NOTHING)
         for slip in SLIPS
     ]
