@@ -1,6 +1,7 @@
 # make demo: a recorded bag through the live localizer, a table and a picture.
 # make test: lint, types, unit, property and integration tests, colcon build and colcon test.
 # make faults: docs/faults.md, each fault through live nodes, about 20 minutes; not in make test.
+# make scenarios: tests and issues of other localizers into docs/faults.md, about ten minutes.
 # make hostile: a million hostile messages through the localizer, 10^5 through a node, half an hour.
 # make soak: ten simulated days in one run, about an hour; not part of make test.
 # make bench: docs/benchmarks.md, what everything costs, 15 to 20 minutes; not part of make test.
@@ -18,13 +19,16 @@ COLCON_PATHS := --build-base build/colcon --install-base build/install
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
 
-.PHONY: demo faults hostile test lint coverage release-check soak bench clean
+.PHONY: demo faults scenarios hostile test lint coverage release-check soak bench clean
 
 demo: $(VENV)/.installed
 	$(BIN)/python scripts/demo.py
 
 faults: $(VENV)/.installed
 	$(BIN)/python scripts/fault_matrix.py
+
+scenarios: $(VENV)/.installed
+	$(BIN)/python scripts/scenarios.py
 
 test: $(VENV)/.installed-tests lint
 	$(COLCON) build --paths . $(COLCON_PATHS)

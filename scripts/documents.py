@@ -13,6 +13,8 @@ DOCUMENTS = ("README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs
 """Names of the documents that have examples."""
 COMMAND = "python3 -m fnn_ekf_ros "
 """First words of a line of an example that is run; NAME stands for any command."""
+SCENARIOS = "scenarios"
+"""Section of docs/faults.md that `make scenarios` writes and `make faults` keeps."""
 INDENTED = r"(?: {4}[^\n]*\n)+"
 """Pattern of an indented block."""
 
@@ -57,3 +59,22 @@ def files(document: str) -> dict[str, str]:
     pattern = rf"`(\w+\.yaml)`(?:(?!\n\n).)*:\n\n({INDENTED})"
     found = re.findall(pattern, read(document), flags=re.DOTALL)
     return {name: re.sub(r"^ {4}", "", text, flags=re.MULTILINE) for name, text in found}
+
+
+def section(text: str, name: str) -> str:
+    """Return what stands between a section's marks in a document; empty if it has none."""
+    begin, end = _marks(name)
+    return text.partition(begin)[2].partition(end)[0].strip("\n")
+
+
+def with_section(text: str, name: str, content: str) -> str:
+    """Return a document's text with a section between its marks, at its place or at the end."""
+    begin, end = _marks(name)
+    before, _, rest = text.partition(begin)
+    after = rest.partition(end)[2]
+    between = content.strip("\n")
+    return f"{before.rstrip()}\n\n{begin}\n\n{between}\n\n{end}\n{after.lstrip()}"
+
+
+def _marks(name: str) -> tuple[str, str]:
+    return f"<!-- {name}: begin -->", f"<!-- {name}: end -->"

@@ -15,6 +15,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from clone import GitError, git
+from documents import SCENARIOS, section, with_section
 
 from faults import tables as fault_tables
 from faults.matrix import fault_effect
@@ -31,22 +32,23 @@ NEW = ".new"
 """Ending of the names of hidden folders that may be removed when nothing runs."""
 
 
-def code_version(root: Path) -> str:
+def code_version(root: Path, code: Sequence[str] = CODE) -> str:
     """Return what the code of a clone is called: the same for the same code only.
 
     Args:
         root: the clone's folder, or that of an archive without git.
+        code: files and folders of it that count.
     """
     package = version().partition(",")[0]
     try:
-        commit = git(root, "log", "-1", "--format=%h", "--abbrev=7", "--", *CODE)
-        changed = git(root, "status", "--porcelain", "--", *CODE)
+        commit = git(root, "log", "-1", "--format=%h", "--abbrev=7", "--", *code)
+        changed = git(root, "status", "--porcelain", "--", *code)
     except GitError:
         commit, changed = "", ""
     if commit and not changed:
         return f"{package}, commit {commit}"
     digest = hashlib.sha256()
-    for path in sorted(path for name in CODE for path in [root / name, *(root / name).rglob("*")]):
+    for path in sorted(path for name in code for path in [root / name, *(root / name).rglob("*")]):
         if path.is_file() and path.suffix != ".pyc":
             digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     origin = f"commit {commit} with changes" if commit else "no commit, files"
@@ -142,6 +144,8 @@ class Recordings:
     def write(self, table: Path, picture: str) -> None:
         """Write the document, and the picture beside it, of the recordings: both or none.
 
+        The section that `make scenarios` writes stays.
+
         Raises:
             FnnEkfError: the recordings are not whole, not of one code, or cannot be read.
         """
@@ -155,6 +159,9 @@ class Recordings:
             without = runs[row.without] if row.without else usual
             lines.append((row, fault_effect(row, runs[row.name], usual, without)))
         text = fault_tables.document(lines, runs[self._rows[0].name], made_by, picture)
+        scenarios = section(table.read_text(encoding="utf-8"), SCENARIOS) if table.exists() else ""
+        if scenarios:
+            text = with_section(text, SCENARIOS, scenarios)
         partial = table.with_name(f".{os.getpid()}.{picture}")
         try:
             fault_tables.draw(partial, [(row, runs[row.name]) for row in self._rows])

@@ -63,6 +63,8 @@ Each row is a run of the processes `fake_robot` (path round, seed 1) and `locali
   as much again as the largest without a fault). 0: not then, or never; no: it still was at the end.
 - **OK**: the same for a status that is not OK.
 
+[Scenarios of other localizers](#scenarios-of-other-localizers) are at the end.
+
 All poses, covariances, twists and noises that were published were finite{{}}.
 
 ![Position errors of all rows]({picture})

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documents import SCENARIOS, section, with_section
 from faults.recordings import NOTE, Recordings
 from faults.scenarios import FaultScenario
 
@@ -116,6 +117,15 @@ def matrix(tmp_path: Path, bag: Path, monkeypatch: pytest.MonkeyPatch) -> Matrix
     ):  # fmt: skip
         monkeypatch.setattr(fault_matrix, name, value)
     return made
+
+
+def test_the_section_with_the_scenarios_of_others_stays(matrix: Matrix) -> None:
+    pytest.importorskip("matplotlib")
+    matrix.table.write_text(with_section(BEFORE, SCENARIOS, "scenarios of others"))
+    assert main([]) == 0
+    text = matrix.table.read_text()
+    assert BEFORE not in text
+    assert section(text, SCENARIOS) == "scenarios of others"
 
 
 def fails(reason: str) -> Callable[[], None]:
