@@ -4,10 +4,11 @@
 """`make scenarios`: how runs are measured, and tests of other localizers that no other test has."""
 
 import math
+import re
 
 import numpy as np
 import pytest
-from documents import SCENARIOS, section, with_section
+from documents import SCENARIOS, read, section, with_section
 from foreign import equal
 from foreign.cases import (
     EQUALITIES,
@@ -37,8 +38,8 @@ from foreign.runs import (
     time_to_recover,
     with_gaps,
 )
+from foreign.tables import TITLE, shown
 from foreign.tables import section as table_section
-from foreign.tables import shown
 
 from fnn_ekf_ros.parameters.fault_files import faults_from
 
@@ -131,6 +132,18 @@ def test_a_section_is_replaced_at_its_place_and_everything_else_stays() -> None:
     assert section(again, SCENARIOS) == "two"
     assert with_section(again, SCENARIOS, "one") == longer.replace("\n\nmore", "\nmore")
     assert section("# A\n", SCENARIOS) == ""
+
+
+def test_the_document_has_all_scenarios_of_one_version() -> None:
+    text = section(read("docs/faults.md"), SCENARIOS)
+    assert text.startswith(TITLE)
+    assert re.search(r"`make scenarios` \(fnn_ekf_ros [\d.]+, commit [0-9a-f]{7,}\)", text)
+    names = re.findall(r"^\| \*\*(.+?)\*\*", text, flags=re.MULTILINE)
+    assert names == [each.name for each in (*RECOVERIES, *EQUALITIES)]
+    for each in (*RECOVERIES, *EQUALITIES):
+        assert each.source in text
+        assert each.theirs in text
+        assert each.remark in text
 
 
 @pytest.mark.slow
