@@ -181,7 +181,7 @@ def test_yaw_that_is_off_from_the_start_is_put_right() -> None:
 
 @pytest.mark.slow
 def test_the_pose_does_not_follow_a_yaw_that_jumps() -> None:
-    """The gate opens for readings that agree, before they count as those of a turned compass."""
+    """To the left for some members and to the right for others: it must not seem to fit."""
     run = drive(3, 15.0, faults_from([compass_off(math.pi, 8.0)], "test"))
     assert recovery(run, 8.0, 0.0).largest_rad < 0.6
 

@@ -5,6 +5,9 @@
 
     S = sum_k w_k (S_k + (r_k - r) (r_k - r)'),   r = sum_k w_k r_k,   NIS = r' S^-1 r
 
+with the yaws' innovations within pi of the first member's: a yaw that is off by about pi is to the
+left for some members and to the right for others, and their mean would say that it fits.
+
 One gate for all members: a gate of each member's own would reject what it does not expect, and its
 weight would be that of a filter that agrees with itself. A compass reading is compared with the
 witness, too, and the smaller NIS counts: what the witness expects is no outlier.
@@ -103,8 +106,9 @@ def compare(
     fix_noise = _fix_noise(noise)
 
     members = OF_MEMBERS
-    mixed = (weights * r[:, members]).sum(axis=1)
-    d = r[:, members] - mixed[:, None]
+    of_members = _around_the_first(r[:, members])
+    mixed = (weights * of_members).sum(axis=1)
+    d = of_members - mixed[:, None]
     yaw_variance = HPH[Component.YAW, Component.YAW, members] + compass_noise[members]
     compass_S = (weights * (yaw_variance + d[Row.COMPASS_YAW] ** 2)).sum(axis=0)
     fix_HPH = _fix_covariance(bank, HPH, correcting, available)[:, :, members]
@@ -131,6 +135,18 @@ def compare(
         mixed=mixed,
         variance=variance,
     )
+
+
+def _around_the_first(r: FloatArray) -> FloatArray:
+    """Return innovations `(4, M, *batch)` whose yaws are within pi of the first member's."""
+    yaws = [Row.COMPASS_YAW, Row.LRF_YAW]
+    first = r[yaws, :1]
+    apart = r[yaws] - first
+    if (np.abs(apart) <= np.pi).all():
+        return r
+    around = r.copy()
+    around[yaws] = first + wrap_angle(apart)
+    return around
 
 
 def two_row_nis(r: FloatArray, S: FloatArray) -> tuple[FloatArray, FloatArray]:

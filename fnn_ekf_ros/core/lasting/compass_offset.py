@@ -57,12 +57,6 @@ that are off by three standard deviations to the same side. Where fix errors las
 the weight of the members for which they do not: such fixes are poor evidence of the yaw."""
 SMALLEST_WEIGHT = 0.05
 """Smallest of these weights that counts: a compass that is turned for good is found."""
-QUESTIONED_AT = 4.6
-"""Sum from which on the other filters do without the compass until it is decided whether it was
-turned: two readings in a row that are off by three standard deviations."""
-SUPPORT_TO_QUESTION = 2.0
-"""Log likelihood ratio of the fixes for the wheels against the compass that this takes, too [nats]:
-odds of 7. Where wheels slip the fixes do not take their side."""
 TURNED_AFTER_S = 2.0
 """Time that it takes at least [s]: a magnet that the robot passes does not turn the compass."""
 KNOWN_STD = 0.3
@@ -120,9 +114,7 @@ class CompassOffset(NamedTuple):
         the fixes, and the witness would then need many more of them. Alarms act, so that the pose
         stays at the fixes.
         """
-        surprises = self.surprise.max(axis=0) > QUESTIONED_AT
-        questioned = surprises & (self.support >= SUPPORT_TO_QUESTION)
-        return np.asarray(self.doubted | self.suspected | questioned)
+        return self.doubted | self.suspected
 
 
 def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> CompassOffset:

@@ -9,6 +9,7 @@ from banks import Covariances
 from lasting_banks import Seen, matrices_of, random_seen
 
 from fnn_ekf_ros.core.arrays import FloatArray, Row
+from fnn_ekf_ros.core.lasting.augmented import Component
 from fnn_ekf_ros.core.lasting.comparison import Comparison, compare, two_row_nis
 from fnn_ekf_ros.core.lasting.members import ANTIPODE, FILTER_COUNT, MEMBER_COUNT, WITNESS
 from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
@@ -170,6 +171,28 @@ def test_robots_of_a_batch_have_rows_of_their_own(random_covariances: Covariance
             )
     assert np.array_equal(found.nis[COMPASS] > 0.0, available[Row.COMPASS_YAW])
     assert np.array_equal(found.nis[LRF_POSE] > 0.0, available[[0, 3]].any(axis=0))
+
+
+@pytest.mark.parametrize("row", [Row.COMPASS_YAW, Row.LRF_YAW])
+def test_yaw_off_by_about_pi_fits_no_mixture(row: Row, random_covariances: Covariances) -> None:
+    """To the left for some members and to the right for others: turned by pi it is as unlikely."""
+    rng = np.random.default_rng(24)
+    rows = [row] if row is Row.COMPASS_YAW else FULL_FIX
+    seen = random_seen(
+        rng, random_covariances, rows_available(rows), coupled=False, fix_yaw=0.0, believed=False
+    )
+    yaw = seen.bank.mean[Component.YAW]
+    yaw[:] = 0.01 * rng.standard_normal(yaw.shape)
+    seen.bank.mean[[Component.YAW_DRIFT, Component.YAW_OFFSET]] = 0.0
+    seen.bank.covariance[...] *= 0.01
+    z = seen.readings.values
+    z[[Row.COMPASS_YAW, Row.LRF_YAW]] = 3.0
+    near = compared(seen).nis
+    z[[Row.COMPASS_YAW, Row.LRF_YAW]] = np.pi
+    sensor = COMPASS if row is Row.COMPASS_YAW else LRF_POSE
+    opposite = compared(seen)
+    assert np.ptp(np.sign(opposite.innovation[row, :MEMBER_COUNT]), axis=0).max() == 2.0
+    assert np.all(opposite.nis[sensor] > 0.9 * near[sensor])
 
 
 def test_nis_of_two_rows() -> None:

@@ -21,10 +21,8 @@ from fnn_ekf_ros.core.lasting.compass_offset import (
     LARGEST_GAIN,
     LARGEST_SURPRISE,
     LIKELY_AT,
-    QUESTIONED_AT,
     SMALLEST_WEIGHT,
     SUPPORT_NEEDED,
-    SUPPORT_TO_QUESTION,
     SWAPPED_AT,
     TURNED_AFTER_S,
     TURNED_AT,
@@ -342,13 +340,6 @@ def test_reading_to_come_is_suspected_if_it_makes_an_offset_likely() -> None:
     assert not suspected_with(believed, bank, z, np.full(robots, R), read).suspected.any()
     kept = suspected_with(found, bank, z, np.full(robots, R), ~read)
     np.testing.assert_array_equal(kept.suspected, likely)
-
-
-def test_compass_that_surprises_is_not_taken_while_the_fixes_side_with_the_wheels() -> None:
-    surprise = np.array([[0.9, 1.1, 1.1, 0.0], [0.0, 0.0, 0.0, 1.1]]) * QUESTIONED_AT
-    support = np.array([1.1, 0.9, 1.1, 1.1]) * SUPPORT_TO_QUESTION
-    offset = start_offset((4,))._replace(surprise=surprise, support=support)
-    assert offset.unknown.tolist() == [False, False, True, True]
 
 
 def test_doubt_ends_when_the_offset_is_known_and_decided() -> None:
