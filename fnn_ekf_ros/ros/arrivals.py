@@ -6,8 +6,10 @@
 A node that was stopped, or got no share of the processor, finds its queues full and a clock that
 has gone on. The messages are older than that: each is taken at the ROS time at which it was sent,
 so that no period is closed before what belongs to it was taken. The middleware delivers what waited
-only while the node runs again, one topic after the other. So nothing is taken, and no time passes,
-before some looks in a row have found nothing that had waited.
+only while the node runs again, one topic after the other, and what it has dropped seconds later, if
+a reliable subscription asks for it. So nothing is taken, and no time passes, before some looks in a
+row have found nothing that had waited, and each topic has given a message that was sent after the
+stop: of one topic, messages are delivered in the order of sending.
 
 Nothing here knows ROS: a look is made with what was found and the time at which.
 """
@@ -87,14 +89,18 @@ class _Stop(NamedTuple):
 
     Attributes:
         before: the last look before it.
+        over_ns: system time of the first look after it [ns].
         expected: topics that were heard shortly before it.
+        missing: those of them that have given no message yet that was sent after it.
         quiet_s: steady time since which no old message was found [s].
         looks: number of looks since then.
         until_s: steady time at which it counts as over in any case [s].
     """
 
     before: Moment
-    expected: set[str]
+    over_ns: int
+    expected: frozenset[str]
+    missing: frozenset[str]
     quiet_s: float
     looks: int
     until_s: float
@@ -114,20 +120,13 @@ class Arrivals:
 
     def look(self, moment: Moment, found: Sequence[Message]) -> None:
         """Take in what a look has found."""
-        if self._last is not None and self._stop is None and self.stopped(moment.steady_s):
-            since_s = self._last.steady_s - LAST_HEARD_S
-            self._stop = _Stop(
-                before=self._last,
-                expected={topic for topic, at in self._heard_s.items() if at > since_s},
-                quiet_s=moment.steady_s,
-                looks=0,
-                until_s=moment.steady_s + LONGEST_HELD_S,
-            )
+        if self._last is not None and self.stopped(moment.steady_s):
+            self._stop = self._stopped_before(moment, self._last)
         last, self._last = self._last, moment
+        self._heard_s.update((message.topic, moment.steady_s) for message in found)
         if self._stop is None:
             came_ns = moment.ros_ns if last is None else min(last.ros_ns, moment.ros_ns)
             for message in sorted(found, key=lambda each: each.sent_ns):
-                self._heard_s[message.topic] = moment.steady_s
                 if message.sent_ns and message.received_ns:
                     delay_ns = message.received_ns - message.sent_ns
                     known_ns = self._delay_ns.get(message.topic, delay_ns)
@@ -135,17 +134,40 @@ class Arrivals:
                 came_ns = max(came_ns, _received_ns(message, last, moment))
                 self._waiting.append(Arrival(came_ns, message))
             return
+        self._hold(self._stop, moment, found)
+
+    def _stopped_before(self, moment: Moment, last: Moment) -> _Stop:
+        """Return the stop that is over now; it goes on where the node was stopped in it again."""
+        if self._stop is not None:
+            return self._stop._replace(
+                over_ns=moment.system_ns, missing=self._stop.expected, looks=0
+            )
+        since_s = last.steady_s - LAST_HEARD_S
+        expected = frozenset(topic for topic, at_s in self._heard_s.items() if at_s > since_s)
+        return _Stop(
+            before=last,
+            over_ns=moment.system_ns,
+            expected=expected,
+            missing=expected,
+            quiet_s=moment.steady_s,
+            looks=0,
+            until_s=moment.steady_s + LONGEST_HELD_S,
+        )
+
+    def _hold(self, stop: _Stop, moment: Moment, found: Sequence[Message]) -> None:
+        """Hold what was found after a stop; let all of it be taken once all was delivered."""
         self._held += found
         old_ns = moment.system_ns - round(0.5e9 * STALL_S)
         if any(self._came_ns(message) < old_ns for message in found):
-            self._stop = self._stop._replace(quiet_s=moment.steady_s, looks=0)
+            stop = stop._replace(quiet_s=moment.steady_s, looks=0)
         else:
-            self._stop = self._stop._replace(looks=self._stop.looks + 1)
-        quiet_s = moment.steady_s - self._stop.quiet_s
-        heard = {message.topic for message in self._held} >= self._stop.expected
-        delivered = heard and quiet_s >= HELD_S and self._stop.looks >= HELD_LOOKS
-        if delivered or moment.steady_s >= self._stop.until_s:
-            self._release(self._stop.before, moment)
+            stop = stop._replace(looks=stop.looks + 1)
+        new = {message.topic for message in found if self._came_ns(message) >= stop.over_ns}
+        self._stop = stop = stop._replace(missing=stop.missing - new)
+        quiet_s = moment.steady_s - stop.quiet_s
+        delivered = not stop.missing and quiet_s >= HELD_S and stop.looks >= HELD_LOOKS
+        if delivered or moment.steady_s >= stop.until_s:
+            self._release(stop.before, moment)
 
     def _release(self, before: Moment, now: Moment) -> None:
         """Let what was held during a stop be taken, each message at its time."""

@@ -5,11 +5,13 @@
 
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from localizers import GEOMETRY, as_object, make_parameters
 from nav_msgs.msg import Odometry
 from own_nodes import OwnNode
@@ -17,6 +19,7 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from fnn_ekf_ros import messages
+from fnn_ekf_ros.diagnostics.messages import RECEIVED
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -29,8 +32,16 @@ pytestmark = pytest.mark.live
 S = 10**9
 PERIOD_NS = S // 10
 PARAMETERS = {"encoder_source": "joint_states", "period": 0.1, "initial_pose": [0.0, 0.0, 0.0]}
-DRIVEN_S = 1.0
+DRIVEN_S = 0.8
 """Time before and after the stop, recorded too [s]."""
+SENSORS = {
+    messages.JOINT_STATES: "encoders",
+    messages.COMPASS: "compass",
+    messages.LRF_POSE: "lrf_pose",
+}
+"""Status that counts the readings of each topic."""
+READINGS = {messages.JOINT_STATES: 2, messages.COMPASS: 1, messages.LRF_POSE: 1}
+"""Number of readings of a message."""
 
 
 class Sent(NamedTuple):
@@ -47,12 +58,16 @@ class Driver(OwnNode):
     Attributes:
         sent: in the order of sending.
         heard: x, y, yaw by stamp.
+        counted: number of readings that the localizer has taken so far, by sensor.
+        counted_ns: the period's end at which it has told so [ns].
     """
 
     def __init__(self) -> None:
         super().__init__("driver")
         self.sent: list[Sent] = []
         self.heard: dict[int, tuple[float, ...]] = {}
+        self.counted: Counter[str] = Counter()
+        self.counted_ns = 0
         parameters = make_parameters(**PARAMETERS)
         qos = QoSProfile(depth=1000)
         self._publishers = {
@@ -63,6 +78,7 @@ class Driver(OwnNode):
             if topic != messages.INITIAL_POSE
         }
         self.node.create_subscription(Odometry, messages.ODOM, self._hear, qos)
+        self.node.create_subscription(DiagnosticArray, messages.DIAGNOSTICS, self._count, qos)
         self._robot: FakeRobot | None = None
 
     @property
@@ -81,13 +97,16 @@ class Driver(OwnNode):
         """Let the localizer forget what it has heard, as some of the first messages are lost."""
         client = self.node.create_client(Trigger, "localizer/reset")
         patiently(lambda: self.spin() or client.service_is_ready(), "the service")
-        last_ns = max(messages.stamp_ns(each.content) for each in self.sent)
-        end_ns = last_ns // PERIOD_NS * PERIOD_NS
-        patiently(lambda: self.spin() or end_ns in self.heard, "all that was sent to be taken")
+        self.wait_for_counts(patiently)
         self.sent.clear()
         self._robot = None
         future = client.call_async(Trigger.Request())
         patiently(lambda: self.spin() or future.done(), "the answer")
+
+    def wait_for_counts(self, patiently: Callable[..., None]) -> None:
+        """Wait until the localizer has told what it took of all that was sent."""
+        last_ns = max(messages.stamp_ns(each.content) for each in self.sent)
+        patiently(lambda: self.spin() or self.counted_ns >= last_ns, "/diagnostics")
 
     def drive(self, seconds: float) -> None:
         """Send what the robot's sensors send, at its time."""
@@ -107,6 +126,13 @@ class Driver(OwnNode):
 
     def _hear(self, message: Odometry) -> None:
         self.heard[messages.stamp_ns(message)] = tuple(messages.planar_pose(message))
+
+    def _count(self, message: DiagnosticArray) -> None:
+        self.counted_ns = messages.stamp_ns(message)
+        for status in message.status:
+            for each in status.values:
+                if each.key == RECEIVED:
+                    self.counted[status.name.rpartition(" ")[2]] = int(each.value)
 
 
 @pytest.fixture
@@ -144,16 +170,18 @@ def test_a_node_that_was_stopped_publishes_what_a_replay_does(
         for name, value in {**GEOMETRY, **PARAMETERS}.items()
         for argument in ("-p", f"{name}:={value}")
     ]
-    if stop_s > 1.0:  # what waits longer in shared memory is dropped, unless it can be asked for
-        arguments += [
-            argument
-            for topic in driver.topics
-            for argument in ("-p", f"qos_overrides./{topic}.subscription.reliability:=reliable")
-        ]
+    # What waits in shared memory for more than a second, as on a busy machine even after the short
+    # stop, is dropped unless it can be asked for.
+    arguments += [
+        argument
+        for topic in driver.topics
+        for argument in ("-p", f"qos_overrides./{topic}.subscription.reliability:=reliable")
+    ]
     localizer = processes.start("localizer", "--ros-args", *arguments)
     patiently(driver.met, "the localizer")
     patiently(lambda: driver.drive(0.1) or len(driver.heard) > 3, "odom from all sensors")
     driver.forget(patiently)
+    counted_before = driver.counted.copy()
     driver.drive(DRIVEN_S)
     localizer.send_signal(signal.SIGSTOP)
     driver.drive(stop_s)
@@ -162,12 +190,17 @@ def test_a_node_that_was_stopped_publishes_what_a_replay_does(
     expected = replayed(driver.sent)
     last_ns = max(expected)
     patiently(lambda: driver.spin() or last_ns in driver.heard, "the last odom")
+    driver.wait_for_counts(patiently)
     processes.stop(localizer)
 
+    sent: Counter[str] = Counter()
+    for each in driver.sent:
+        sent[SENSORS[each.topic]] += READINGS[each.topic]
+    assert driver.counted - counted_before == sent, "the middleware lost messages"
     assert len(expected) > 10 * stop_s
-    assert [stamp_ns for stamp_ns in sorted(driver.heard) if stamp_ns >= min(expected)] == sorted(
-        expected
-    )
+    first_ns = min(expected)
+    heard = sorted(stamp_ns for stamp_ns in driver.heard if first_ns <= stamp_ns <= last_ns)
+    assert heard == sorted(expected)
     differing = {
         stamp_ns: np.linalg.norm(np.subtract(driver.heard[stamp_ns], pose)[:2])
         for stamp_ns, pose in expected.items()

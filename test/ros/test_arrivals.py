@@ -102,6 +102,46 @@ def test_a_topic_that_was_heard_before_is_waited_for_but_not_for_good() -> None:
     assert released_s(arrivals, 6.1) == pytest.approx(6.0 + LONGEST_HELD_S, abs=LOOK_S)
 
 
+def test_a_topic_that_gives_only_what_waited_before_the_stop_is_waited_for() -> None:
+    """As a reliable topic does whose sender has not yet been asked for what is missing."""
+    arrivals = ran()
+    waited = [sent("wheels", 1.05, 6.0), sent("fixes", 1.05, 6.0), sent("wheels", 1.5, 6.0)]
+    arrivals.look(at(6.0), waited)
+    for place in range(1, 30):
+        arrivals.look(at(6.0 + place * LOOK_S), [])
+        assert arrivals.first is None
+    late = [sent("wheels", s, 9.0) for s in (2.0, 4.0, 8.9)]
+    arrivals.look(at(9.0), [*late, sent("fixes", 8.0, 9.0)])
+    assert released_s(arrivals, 9.1) == pytest.approx(9.0 + HELD_S, abs=0.5 * LOOK_S)
+    assert [arrivals.take().message.sent_ns for _ in range(len(arrivals))] == sorted(
+        each.sent_ns for each in [*waited, *late, sent("fixes", 8.0)]
+    )
+
+
+def test_a_stop_soon_after_another_expects_what_was_held() -> None:
+    """A topic whose messages were all held counts as heard."""
+    arrivals = ran()
+    arrivals.look(at(6.0), [sent("wheels", 6.0), sent("fixes", 6.0)])
+    now_s = released_s(arrivals, 6.1)
+    while arrivals.first is not None:
+        arrivals.take()
+    arrivals.look(at(now_s + 0.3), [sent("wheels", now_s + 0.3)])
+    assert released_s(arrivals, now_s + 0.4) == pytest.approx(
+        now_s + 0.3 + LONGEST_HELD_S, abs=LOOK_S
+    )
+
+
+def test_a_node_that_is_stopped_again_waits_for_what_is_sent_after_that() -> None:
+    arrivals = ran()
+    arrivals.look(at(6.0), [sent("wheels", 6.0), sent("fixes", 6.0)])
+    arrivals.look(at(7.0), [sent("wheels", 6.2), sent("fixes", 6.2)])
+    for place in range(1, 15):
+        arrivals.look(at(7.0 + place * LOOK_S), [])
+        assert arrivals.first is None
+    arrivals.look(at(8.5), [sent("wheels", 8.4), sent("fixes", 8.4)])
+    assert arrivals.first is not None
+
+
 def test_nothing_is_expected_where_nothing_was_heard() -> None:
     arrivals = Arrivals()
     arrivals.look(at(0.0), [])
