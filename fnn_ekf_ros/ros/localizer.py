@@ -18,7 +18,7 @@ from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.outputs import output_messages
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
-from fnn_ekf_ros.ros.arrivals import Arrival, Arrivals, Message
+from fnn_ekf_ros.ros.arrivals import Arrival, Arrivals, Message, Moment
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.event_group import EventGroup
@@ -132,15 +132,18 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._work()
 
     def _look_at_clock(self) -> None:
-        """Let time pass, if everything that came before was taken."""
-        self._look()
-        self._work()
-        now_ns = now_of(self).ros_ns
-        if now_ns > 0 and self._arrivals.time_may_pass:
-            self._advance(now_ns)
+        """Let time pass up to a look into the queues, if everything that came before was taken.
 
-    def _look(self, *first: Message) -> None:
-        """Take all messages out of the queues."""
+        Not up to the time after it: a node that is stopped between the two would let the time of
+        the stop pass before it takes what was sent in it.
+        """
+        looked_ns = self._look().ros_ns
+        self._work()
+        if looked_ns > 0 and self._arrivals.time_may_pass:
+            self._advance(looked_ns)
+
+    def _look(self, *first: Message) -> Moment:
+        """Take all messages out of the queues; return when."""
         room = MOST_WAITING - len(self._arrivals) - len(first)
         found = [*first, *take_all(self._inputs, room)] if room > 0 else list(first)
         if self._arrivals.stopped(time.monotonic()):
@@ -152,7 +155,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
                     f"{found[0].topic} before the first /clock is dropped",
                     throttle_duration_sec=LOG_INTERVAL_S,
                 )
-            return
+            return moment
         self._arrivals.look(moment, found)
         shed = self._arrivals.shed(moment, SHED)
         if shed:
@@ -162,6 +165,7 @@ class LocalizerNode(Node):  # type: ignore[misc]
                 "sensors' rates, raise period or shorten history",
                 throttle_duration_sec=LOG_INTERVAL_S,
             )
+        return moment
 
     def _work(self) -> None:
         """Take what waits, for less than a period, and let the executor look before the rest."""

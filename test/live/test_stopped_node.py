@@ -24,6 +24,8 @@ from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.schema import build
+from fnn_ekf_ros.ros import localizer as node_module
+from fnn_ekf_ros.ros.arrivals import Moment
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.simulation.fake_robot import FakeRobot
 
@@ -207,3 +209,19 @@ def test_a_node_that_was_stopped_publishes_what_a_replay_does(
         if driver.heard[stamp_ns] != pose
     }
     assert not differing, f"{len(differing)} of {len(expected)}, up to {max(differing.values())} m"
+
+
+def test_a_stop_after_the_look_lets_no_time_pass(
+    bench: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Time passes up to the look; what is sent between it and the next one is taken before."""
+    node = bench().localizer
+    moments = [Moment(5.0 * place, 5 * S * place, 5 * S * place) for place in range(1, 9)]
+    clock = iter(moments)
+    monkeypatch.setattr(node_module, "now_of", lambda _: next(clock))
+    monkeypatch.setattr(node_module.time, "monotonic", lambda: moments[0].steady_s)
+    passed = []
+    monkeypatch.setattr(node.localizer, "advance", lambda now_ns, _: passed.append(now_ns) or [])
+    node._look_at_clock()
+    monkeypatch.undo()
+    assert passed == [moments[0].ros_ns]
