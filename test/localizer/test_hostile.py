@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hostile_messages import COMMANDS, EVERYTHING, Command, Recipe, Segment, Sent, Truth, stream
+from hostile_work import Totals, Work, counted_steps
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from localizers import GEOMETRY, as_object
@@ -32,7 +33,7 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import build
 from fnn_ekf_ros.timeline.events import Output
 
-MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_MESSAGES", "10000"))
+MESSAGES = int(os.environ.get("FNN_EKF_ROS_HOSTILE_MESSAGES", "5000"))
 FIRST_SEED = int(os.environ.get("FNN_EKF_ROS_HOSTILE_SEED", "0"))
 EXAMPLES = 10
 """Number of recipes that are drawn from each of hypothesis' seeds."""
@@ -44,11 +45,13 @@ class Victim:
 
     Attributes:
         errors: distances from the truth of the estimates it is known for [m].
+        work: what the messages cost.
     """
 
     def __init__(self, parameters: LocalizerParameters) -> None:
         self.parameters = parameters
         self.localizer = Localizer(parameters, networks_for(parameters))
+        self.work = Work(parameters)
         self.estimates = 0
         self.refused = 0
         self.truth: deque[Truth] = deque(maxlen=200)
@@ -67,7 +70,11 @@ class Victim:
             return
         self._see_clock(sent.now_ns)
         message = as_object(sent.message)
-        outputs, rejected = self.localizer.receive(sent.topic, message, sent.now_ns)
+        outputs, rejected = self.work.check(
+            self.localizer,
+            sent.now_ns,
+            lambda: self.localizer.receive(sent.topic, message, sent.now_ns),
+        )
         if rejected is not None:
             assert 0 < len(rejected.reason) < 500
             assert rejected.reason.isprintable(), rejected.reason
@@ -201,12 +208,24 @@ def parameter_sets(draw: st.DrawFn) -> dict[str, Any]:
 
     # Small std and large: nothing between 1e-4 and 1e3 is forbidden.
     std = st.sampled_from([1e-4, 1e-3, 0.01, 0.1, 1.0, 30.0, 1e3])
-    period = draw(st.sampled_from([0.375, 0.375, 0.05, 1.0, 0.1, 10.0]))
+    period = draw(st.sampled_from([0.375, 0.375, 0.05, 1.0, 0.1, 10.0, 0.02]))
     gate = st.sampled_from([0.0, 1e-12, 0.01, 0.5])
+    delay, angle = st.sampled_from([-2.0, 0.5, 2.0]), st.sampled_from([-2.0 * math.pi, 3.0])
     found = {"period": period, "history": min(2.0, 50.0 * period)} | maybe(
         {
-            "adaptation": st.sampled_from(["none", "r", "q"]),
+            "adaptation": st.sampled_from(["none", "r", "q", "rq"]),
+            "lasting_errors": st.just(False),
             "lrf_use_yaw": st.just(True),
+            "lrf_yaw_offset": angle,
+            "lrf_pose_scale": st.sampled_from([1e-6, 1e6]),
+            "lrf_pose_delay": delay,
+            "compass_delay": delay,
+            "compass_offset": angle,
+            "compass_clockwise": st.just(True),
+            "right_inverted": st.just(True),
+            "left_wheel_radius_multiplier": st.sampled_from([0.1, 10.0]),
+            "right_wheel_radius_multiplier": st.sampled_from([0.1, 10.0]),
+            "process_membership_file": st.sampled_from(["initial", "trained"]),
             "lrf_use_message_covariance": st.just(True),
             "motion_model": st.just("paper"),
             "inference": st.just("centroid"),
@@ -279,24 +298,40 @@ def run_examples(
 
 
 @pytest.mark.slow
-def test_whatever_comes_the_output_is_sound() -> None:
-    """Finite, positive definite, in order, within bounds; and nothing is ever raised."""
-    sent_count = estimates = refused = 0
+def test_whatever_comes_the_output_is_sound_and_the_work_bounded() -> None:
+    """Finite, positive definite, in order, within bounds; and nothing is ever raised.
+
+    Of each message, and of all messages of a configuration, the filter steps are bounded, and so
+    is what is kept (`hostile_work`).
+    """
+    estimates = refused = 0
+    totals = Totals()
+    configurations = set()
 
     def never_nonsense(changes: dict[str, Any], recipe: Recipe) -> None:
-        nonlocal sent_count, estimates, refused
+        nonlocal estimates, refused, totals
         localizer = Victim(build(LocalizerParameters, GEOMETRY | changes))
-        sent_count += play(recipe, localizer)
+        play(recipe, localizer)
+        totals = totals.with_more(localizer.work.totals)
+        configurations.add(repr(changes))
         estimates += localizer.estimates
         refused += localizer.refused
 
-    for number in itertools.count():
-        run_examples(never_nonsense, (parameter_sets(), recipes), number, EXAMPLES)
-        if sent_count >= MESSAGES:
-            break
-    print(f"{sent_count} messages, {refused} refused, {estimates} odom, {number + 1} seeds")
-    assert estimates > sent_count / 100  # the filter was running
-    assert refused > sent_count / 200  # and not because the messages were good
+    with counted_steps():
+        for number in itertools.count():
+            run_examples(never_nonsense, (parameter_sets(), recipes), number, EXAMPLES)
+            if totals.messages >= MESSAGES:
+                break
+    print(
+        f"{totals.messages} messages, {len(configurations)} configurations, {refused} refused, "
+        f"{estimates} odom, {totals.periods} periods, {totals.steps} steps, at most "
+        f"{totals.worst_steps} for a message; kept at most {totals.most_checkpoints} periods, "
+        f"{totals.most_readings} readings of a sensor; seeds {FIRST_SEED} to {FIRST_SEED + number}"
+    )
+    assert estimates > totals.messages / 100  # the filter was running
+    assert refused > totals.messages / 200  # and not because the messages were good
+    assert len(configurations) >= MESSAGES // 2000
+    assert totals.steps > totals.periods / 2  # the steps were counted
 
 
 @pytest.mark.slow

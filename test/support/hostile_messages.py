@@ -30,6 +30,12 @@ FIX_STD, COMPASS_STD = 0.05, 0.05
 BEGIN_NS = 1_700_000_000 * 10**9
 LATEST_NS = (2**31 - 100) * 10**9
 """A little before the end of what a stamp can hold [ns]."""
+CLOCK_RATES = {"slow": 0.05, "fast": 20.0}
+"""ROS time that passes with a tick, over that of a clock that is right."""
+FLOOD = 30
+"""Messages of a sensor that floods, for one of its own."""
+FLOOD_S = 0.1
+"""Largest difference of their stamps from its stamp [s]."""
 MOST_HELD = 400
 """Largest number of messages that are delayed at a time."""
 
@@ -83,7 +89,10 @@ class Truth(NamedTuple):
     pose: np.ndarray
 
 
-SENDING = ("lost", "twice", "late", "burst", "silence", "clock", "kidnapped", "lying")
+SENDING = (
+    "lost", "twice", "flood", "late", "burst", "silence", "clock", "slow", "fast", "kidnapped",
+    "lying",
+)  # fmt: skip
 """What happens to the sending of messages, to the clock, to the robot, and to all its sensors."""
 COMMANDS = ("reset", "hold", "learn", "change")
 """What is asked of the localizer meanwhile."""
@@ -243,7 +252,8 @@ class _Clock:
         if self._frozen:
             self._frozen -= 1
         else:
-            self.now_ns += TICK_NS
+            rate = math.prod(CLOCK_RATES.get(name, 1.0) for name in attacks)
+            self.now_ns += round(rate * TICK_NS)
         if "burst" in attacks and rng.random() < 0.05:
             self._frozen = int(rng.integers(60))
         if "silence" in attacks and rng.random() < 0.01:
@@ -277,6 +287,19 @@ def _spoken(
             if rng.random() < segment.share:
                 attack(rng, message)
         yield Sent(now_ns, topic, message)
+        if "flood" in segment.attacks and rng.random() < 0.2 * segment.share:
+            for _ in range(int(rng.integers(FLOOD))):
+                yield Sent(now_ns, topic, _stamped_otherwise(rng, message))
+
+
+def _stamped_otherwise(rng: Random, message: Message) -> Message:
+    """Return a copy with another stamp, if it has one."""
+    copied = copy.deepcopy(message)
+    if "header" in copied.fields:
+        stamp = copied.fields["header"].fields["stamp"].fields
+        shift_ns = round(rng.uniform(-FLOOD_S, FLOOD_S) * 1e9)
+        stamp.update(time_fields(stamp["sec"] * 10**9 + stamp["nanosec"] + shift_ns))
+    return copied
 
 
 def _released(rng: Random, held: list[Sent], segment: Segment) -> Iterator[Sent]:
