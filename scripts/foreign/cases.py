@@ -168,8 +168,7 @@ RECOVERIES = (
         "the yaw sensor jumps by 180 degrees for good; the robot does not turn",
         "the yaw is reset once, within 7.5 s",
         "PX4 follows the sensor once, by design; here the sensor is wrong, so that to follow it "
-        "is an error. In most runs the pose turns with it for some seconds, before the compass is "
-        "doubted; and while the compass is not used, the yaw is less certain.",
+        "is an error. While the compass is not used, the yaw is less certain.",
         recovers((compass_off(math.pi),)),
     ),
     Scenario(
