@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import Refuse, Succeed, contents, parameters_of
+from commands import HEARS_SIGINT, Refuse, Succeed, contents, parameters_of
 from places import ROOT
 
 from fnn_ekf_ros import cli
@@ -34,6 +34,8 @@ STUDY_SIZES: dict[str, tuple[object, ...]] = {
     "mistakes": ("--runs", 1, "--seconds", 1, "--mistakes", "swapped", "--jobs", 1),
 }
 """Words that make a study of simulated robots small, by its name."""
+PATIENCE_S = 120.0
+"""Time after which what a test waits for will not come [s]."""
 PLAIN = ("-p", "adaptation:=none")
 """A filter that takes little time."""
 BAGS_TO_WRITE = {"simulate": "out", "replay": "out", "import-csv": "out"}
@@ -330,22 +332,24 @@ def test_a_training_that_is_interrupted_leaves_nothing(
 @pytest.mark.slow
 def test_a_signal_in_the_middle_of_a_study_leaves_nothing(tmp_path: Path) -> None:
     words = [
-        sys.executable,
-        "-m",
-        "fnn_ekf_ros",
-        "study",
-        "lasting",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    with subprocess.Popen(
-        [*words, "--runs", "40", "--jobs", "2"], env=os.environ | {"PYTHONPATH": str(ROOT)},
+        *HEARS_SIGINT, sys.executable, "-m", "fnn_ekf_ros", "study", "lasting",
+        "--out", tmp_path / "out", "--runs", 40, "--jobs", 2,
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        [str(word) for word in words], env=os.environ | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
-        time.sleep(1.5)
-        assert process.poll() is None
+    )  # fmt: skip
+    try:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        until = time.monotonic() + PATIENCE_S
+        while not children.read_text():  # it works
+            assert process.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30.0)
+        out, err = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert (out, err) == ("", "")
     assert list(tmp_path.iterdir()) == []

@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from commands import HEARS_SIGINT
 from places import ROOT
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -37,8 +38,6 @@ PAPERS_ROBOT = [
 ]  # fmt: skip
 TESTS = itertools.count()
 """Numbers the tests of this process."""
-HEARS_SIGINT = ["env", "--default-signal=INT"]
-"""A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
 
 def prefix_of_workspace() -> Path | None:

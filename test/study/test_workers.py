@@ -14,14 +14,13 @@ from pathlib import Path
 
 import pytest
 from answering import adding
+from commands import HEARS_SIGINT
 
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.study.monte_carlo import STUDIES
 from fnn_ekf_ros.study.workers import Workers, available_cpus, in_any_order
 
 ENDS_WITHIN_S = 30.0
-HEARS_SIGINT = ["env", "--default-signal=INT"]
-"""A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

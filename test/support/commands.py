@@ -10,6 +10,8 @@ from fnn_ekf_ros.recordings.bag_files import BagReader, Record
 
 Refuse = Callable[..., str]
 Succeed = Callable[..., str]
+HEARS_SIGINT = ["env", "--default-signal=INT"]
+"""A test run that a shell started in the background has SIGINT ignored, and hands that down."""
 
 
 def contents(folder: Path) -> dict[str, bytes]:
