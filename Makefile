@@ -15,9 +15,6 @@ BIN := $(VENV)/bin
 COLCON := $(BIN)/colcon --log-base build/log
 COLCON_PATHS := --build-base build/colcon --install-base build/install
 
-# One more than there are processors: live tests, which one process runs, mostly wait.
-TESTERS ?= $(shell $(PYTHON) -c 'import os; print(len(os.sched_getaffinity(0)) + 1)')
-
 # Nothing leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export ROS_LOG_DIR := $(CURDIR)/build/ros_log
@@ -36,7 +33,7 @@ scenarios: $(VENV)/.installed
 test: $(VENV)/.installed-tests lint
 	$(COLCON) build --paths . $(COLCON_PATHS)
 	$(COLCON) test --paths . $(COLCON_PATHS) --return-code-on-test-failure \
-	  --event-handlers console_direct+ --pytest-args --numprocesses $(TESTERS) --dist loadgroup
+	  --event-handlers console_direct+ --pytest-args --numprocesses auto --dist loadgroup
 	$(COLCON) test-result --test-result-base build/colcon --verbose
 
 # Another FNN_EKF_ROS_HOSTILE_SEED than 1 sends others.
