@@ -4,8 +4,8 @@
 """The examination of a robot while it drives: readings in, findings as long as they hold."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Generator, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -68,6 +68,13 @@ LARGEST_TOLD_DELAY_S = 1.0
 LONGEST_SILENCE_S = 10.0 * BLOCK_S
 """Time without a look at the clock after which blocks begin anew [s]."""
 
+_OVER = object()
+"""What `next` gives where work is over."""
+
+T = TypeVar("T")
+Parts = Generator[None, None, T]
+"""Work that is done in parts, each of some milliseconds, and its result."""
+
 
 class Buffers:
     """Readings of the blocks that are not over yet, each as a row that begins with its stamp."""
@@ -116,6 +123,7 @@ class RunningExamination:
         self._interval_s = math.nan
         self._explanation: Explanation | None = None
         self._seen = self._renewed_at = 0
+        self._work: Parts[None] | None = None
         self.findings: tuple[Finding, ...] = ()
 
     def wheel(self, side: str, time_s: float, counts: float) -> None:
@@ -138,25 +146,44 @@ class RunningExamination:
         self._buffers.add("fixes", (time_s, x, y, yaw))
 
     def advance(self, now_s: float) -> None:
-        """Look at the blocks that are over at an instant [s]."""
-        if self._begin_s is None or now_s - self._begin_s > LONGEST_SILENCE_S:
-            self._begin_s = now_s
-            return
-        while now_s >= self._begin_s + BLOCK_S + MARGIN_S + WAIT_S:
-            end_s = self._begin_s + BLOCK_S
-            try:
-                with np.errstate(over="raise", divide="raise", invalid="raise"):
-                    self._look_at(self._begin_s, end_s)
-            except (ArithmeticError, np.linalg.LinAlgError):  # numbers of no robot
-                self._forget_all_but(0)
-            self._begin_s = end_s
-            self._buffers.forget_before(end_s - MARGIN_S - LONGEST_STEP_S)
+        """Go on with the blocks that are over at an instant [s].
 
-    def _look_at(self, begin_s: float, end_s: float) -> None:
+        Only a part of the work on a block is done in a call: no period of a node may take the time
+        of all of it.
+        """
+        if self._begin_s is None or now_s - self._begin_s > LONGEST_SILENCE_S:
+            self._begin_s, self._work = now_s, None
+            return
+        if self._work is None and now_s >= self._begin_s + BLOCK_S + MARGIN_S + WAIT_S:
+            self._work = self._look_at(self._begin_s, self._begin_s + BLOCK_S)
+            self._begin_s += BLOCK_S
+        if self._work is None:
+            return
+        try:
+            with np.errstate(over="raise", divide="raise", invalid="raise"):
+                is_over = next(self._work, _OVER) is _OVER
+        except (ArithmeticError, np.linalg.LinAlgError):  # numbers of no robot
+            self._forget_all_but(0)
+            is_over = True
+        if is_over:
+            self._work = None
+
+    def _look_at(self, begin_s: float, end_s: float) -> Parts[None]:
+        """Take a block in, and find out what is wrong after it."""
         segment = self._segment(begin_s, end_s)
-        if segment is not None:
-            self._add(segment)
-            self._judge()
+        self._buffers.forget_before(end_s - MARGIN_S - LONGEST_STEP_S)
+        if segment is None:
+            return
+        yield
+        fixes = segment.inside(segment.fixes)
+        if len(fixes) and float(np.max(np.ptp(fixes[:, 1:3], axis=0))) < 0.01:
+            fixes = fixes[:0]
+        self._compass.add(segment, segment.compass, fixes)
+        yield
+        with_yaw = segment.fixes[np.isfinite(segment.fixes[:, 3])]
+        self._fix_yaw.add(segment, with_yaw[:, [0, 3]], fixes)
+        self._seen += 1
+        yield from self._judged()
 
     def _forget_all_but(self, blocks: int) -> None:
         """Forget findings, and the oldest blocks."""
@@ -182,58 +209,59 @@ class RunningExamination:
             compass[travel.covers(compass[:, 0])], fixes[travel.covers(fixes[:, 0])],
         )  # fmt: skip
 
-    def _add(self, segment: Segment) -> None:
-        fixes = segment.inside(segment.fixes)
-        if len(fixes) and float(np.max(np.ptp(fixes[:, 1:3], axis=0))) < 0.01:
-            fixes = fixes[:0]
-        self._compass.add(segment, segment.compass, fixes)
-        with_yaw = segment.fixes[np.isfinite(segment.fixes[:, 3])]
-        self._fix_yaw.add(segment, with_yaw[:, [0, 3]], fixes)
-
     @property
     def kept(self) -> tuple[int, int]:
         """Numbers of blocks and of readings that are kept."""
         return max(len(self._compass), len(self._fix_yaw)), self._buffers.count
 
-    def evidence(self, which: slice = slice(None)) -> Evidence:
+    def evidence(self, which: slice = slice(None)) -> Parts[Evidence]:
         """Return what some of the blocks say, or all of them."""
+        yield
         compass, random = self._compass.source(which)
+        yield
         fix_yaw = self._fix_yaw.source(which)[0]
         if compass is not None and fix_yaw is not None:
             compass, fix_yaw = _of_one_slip(compass), _of_one_slip(fix_yaw)
         return Evidence(compass, fix_yaw, random)
 
-    def _judge(self) -> None:
+    def _judged(self) -> Parts[None]:
         """Find out what is wrong after a block."""
         blocks = max(len(self._compass), len(self._fix_yaw))
-        self._seen += 1
         later = self._seen > EACH_BLOCKS and self._seen % JUDGED_BLOCKS
         if blocks < FEWEST_BLOCKS or later:
             return
-        if self.findings and self._is_over():
+        if self.findings and (yield from self._is_over()):
             self._forget_all_but(RECENT_BLOCKS)
             return
         if self.findings and self._seen < self._renewed_at:
             return
-        found = self._found(self.evidence(), BLOCK_S * blocks)
+        found = yield from self._found(BLOCK_S * blocks)
         if found:
             self.findings, self._renewed_at = found, self._seen + RENEWED_BLOCKS
 
-    def _found(self, evidence: Evidence, long_s: float) -> tuple[Finding, ...]:
+    def _found(self, long_s: float) -> Parts[tuple[Finding, ...]]:
         """Return what is wrong by all blocks, if it is so in each half of them."""
+        evidence = yield from self.evidence()
+        yield
         if evidence.random_compass:
-            halves = [self.evidence(half).random_compass for half in self._halves()]
-            return (random_compass(),) if all(halves) else ()
+            for half in self._halves():
+                if not (yield from self.evidence(half)).random_compass:
+                    return ()
+            return (random_compass(),)
         unit = compass_unit(evidence)
         if not unit and self._fit(evidence) > -LEAST_MISFIT:
             return ()
+        yield
         explanation = explain(evidence, self._meters, self._separation)
         if explanation is None:
-            halves = [compass_unit(self.evidence(half)) == unit for half in self._halves()]
-            return tuple(unit) if all(halves) else ()
+            for half in self._halves():
+                if compass_unit((yield from self.evidence(half))) != unit:
+                    return ()
+            return tuple(unit)
+        yield
         context = Context(self._configured, evidence, explanation, self._interval_s)
         found = [each for each in told_findings(context, long_s) if _is_told(each, context)]
-        if not found or not self._lasts(explanation):
+        if not found or not (yield from self._lasts(explanation)):
             return ()
         self._explanation = explanation
         return in_order(found)
@@ -250,17 +278,19 @@ class RunningExamination:
         half = max(len(self._compass), len(self._fix_yaw)) // 2
         return slice(0, half), slice(half, None)
 
-    def _lasts(self, explanation: Explanation) -> bool:
+    def _lasts(self, explanation: Explanation) -> Parts[bool]:
         """Return whether an explanation is better than the configuration in each half."""
         for half in self._halves():
-            evidence = self.evidence(half)
+            evidence = yield from self.evidence(half)
+            yield
             if self._fit(evidence, explanation) - self._fit(evidence) < LASTING_GAIN:
                 return False
         return True
 
-    def _is_over(self) -> bool:
+    def _is_over(self) -> Parts[bool]:
         """Return whether the newest blocks contradict the findings."""
-        evidence = self.evidence(slice(-RECENT_BLOCKS, None))
+        evidence = yield from self.evidence(slice(-RECENT_BLOCKS, None))
+        yield
         if self._explanation is None:
             return not evidence.random_compass and not compass_unit(evidence)
         return self._fit(evidence, self._explanation) - self._fit(evidence) < OVER_GAIN

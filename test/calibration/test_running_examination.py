@@ -4,8 +4,8 @@
 """The examination of a robot that drives: sums of blocks say what all readings at once say."""
 
 import math
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -14,8 +14,10 @@ from examined_drives import COUNTS, RADIUS, SEPARATION, drive, parameters
 from fnn_ekf_ros.calibration.block_sums import NODES_S, travel_at
 from fnn_ekf_ros.calibration.drift_regression import Drift, filtered
 from fnn_ekf_ros.calibration.examination import Drive, examine
-from fnn_ekf_ros.calibration.running_examination import RunningExamination
-from fnn_ekf_ros.calibration.yaw_blocks import MOST_BLOCKS
+from fnn_ekf_ros.calibration.running_examination import Parts, RunningExamination
+from fnn_ekf_ros.calibration.yaw_blocks import MOST_BLOCKS, YawBlocks
+
+T = TypeVar("T")
 
 LONG_S = 60.0
 """Length of the drives: within a minute mistakes are named [s]."""
@@ -38,6 +40,16 @@ def feed(
             examination.fix(*row[:3], row[3] if configured["lrf_use_yaw"] else math.nan)
         examination.advance(time)
         yield time
+
+
+def result_of(parts: Parts[T]) -> T:
+    """Return what work in parts comes to."""
+    while True:
+        try:
+            next(parts)
+        except StopIteration as end:
+            result: T = end.value
+            return result
 
 
 def examined(given: Drive, **configured: Any) -> RunningExamination:
@@ -88,7 +100,7 @@ def test_a_filter_goes_on_where_it_was() -> None:
 def test_blocks_say_what_all_readings_say() -> None:
     given = drive(1, 90.0)
     at_once = examine(given, parameters()).evidence
-    by_blocks = examined(given).evidence()
+    by_blocks = result_of(examined(given).evidence())
     assert at_once is not None
     one, other = at_once.compass, by_blocks.compass
     assert one is not None
@@ -168,12 +180,35 @@ def test_a_finding_stays_until_the_newest_blocks_contradict_it() -> None:
     given.compass[late] = mended[late]
     examination = RunningExamination(values)
     told = [(time, bool(examination.findings)) for time in feed(examination, given, values)]
-    begun = next(time for time, is_told in told if is_told)
-    assert begun < 60.0
-    ended = max(time for time, is_told in told if is_told)
-    assert all(is_told for time, is_told in told if begun <= time <= ended)
-    assert 85.0 < ended < 200.0
+    places = [place for place, (_, is_told) in enumerate(told) if is_told]
+    assert places == list(range(places[0], places[-1] + 1))
+    assert told[places[0]][0] < 60.0
+    assert 85.0 < told[places[-1]][0] < 200.0
     assert not examination.findings
+
+
+def test_no_call_does_all_of_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums and sources of a sensor take milliseconds each: a call has at most one of them."""
+    done = list[str]()
+
+    def noting(name: str) -> Callable[..., Any]:
+        method = getattr(YawBlocks, name)
+
+        def noted(*words: Any) -> Any:
+            done.append(name)
+            return method(*words)
+
+        return noted
+
+    for name in ("add", "source"):
+        monkeypatch.setattr(YawBlocks, name, noting(name))
+    values, given = parameters(), with_compass(drive(6, 60.0), lambda yaw: yaw + 0.8)
+    examination, together = RunningExamination(values), 0
+    for _ in feed(examination, given, values):
+        together = max(together, len(done))
+        done.clear()
+    assert examination.findings
+    assert together == 1
 
 
 def test_a_robot_that_never_turns_tells_nothing() -> None:
