@@ -202,6 +202,10 @@ class Localizer:
         """Whether periods are still to be closed that could have been."""
         return self._is_behind
 
+    def shed(self, count: int) -> None:
+        """Count readings that the caller has left out because there was no time for them."""
+        self._diagnostics.shed(count)
+
     def _set_back(self, now_ns: int) -> None:
         """Go on at an earlier time: all that is kept moves with the clock."""
         by_ns = now_ns - self._now_ns

@@ -8,7 +8,7 @@ import copy
 import functools
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from fnn_ekf_ros import messages
@@ -18,9 +18,11 @@ from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.localizer.outputs import output_messages
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
+from fnn_ekf_ros.ros.arrivals import Arrival, Arrivals, Message, Moment
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.event_group import EventGroup
+from fnn_ekf_ros.ros.intake import MOST_WAITING, as_message, now_of, take_all, take_clock
 from fnn_ekf_ros.ros.level_changes import LevelChanges
 from fnn_ekf_ros.ros.other_publishers import OtherPublishers
 from fnn_ekf_ros.ros.pace import LOOKS_PER_PERIOD, Pace
@@ -36,15 +38,21 @@ from fnn_ekf_ros.ros.state_keeper import StateKeeper
 from fnn_ekf_ros.ros.transforms import Transforms
 from fnn_ekf_ros.timeline.events import Level, Output, Rejected, Status
 
+from rclpy.clock import Clock, ClockType  # isort: skip
 from rclpy.node import Node  # isort: skip  (runtime explains it if ROS is not here)
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # isort: skip
 from rclpy.qos_overriding_options import QoSOverridingOptions  # isort: skip
 from std_srvs.srv import SetBool, Trigger  # isort: skip
 
-INPUT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort as for sensor data, but deep enough for a burst of a second of fast encoders."""
+INPUT_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Best effort as for sensor data, but deep enough for five seconds of messages at 1 kHz, in which
+the node may get no share of the processor."""
 OUTPUT_QOS = QoSProfile(depth=10)
 """QoS of what the localizer sends; a subscriber may lag behind by ten periods."""
+LONGEST_LOOK_S = 0.1
+"""Longest interval of looks into the queues, in steady time [s]: a longer one is a stop."""
+SHED = (messages.COMPASS, messages.LRF_POSE)
+"""Topics of which messages may be left out where the node is too slow."""
 MOST_PERIODS = 10
 """Number of periods that are closed at once; services and signals are answered in between."""
 
@@ -69,7 +77,9 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._state_keeper = StateKeeper(self, parameters)
         self.localizer = Localizer(parameters, networks, warm_start=self._state_keeper.warm_start)
         self._pace = Pace(self, parameters.period, self.localizer.overran)
-        self._more_to_do = self.create_guard_condition(self._look_at_clock)
+        self._look_s = min(parameters.period / LOOKS_PER_PERIOD, LONGEST_LOOK_S)
+        self._arrivals = Arrivals()
+        self._more_to_do = self.create_guard_condition(self._work)
         self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}
         overridable = QoSOverridingOptions.with_default_policies()
@@ -83,18 +93,22 @@ class LocalizerNode(Node):  # type: ignore[misc]
             )
             for topic, type_name in outputs.items()
         }
-        for topic in messages.input_topics(parameters):
-            self.create_subscription(
+        self._inputs = {
+            topic: self.create_subscription(
                 message_class(messages.INPUT_TYPES[topic]),
                 topic,
                 functools.partial(self._receive, topic),
                 copy.copy(INPUT_QOS),  # an override is written into it
                 qos_overriding_options=overridable,
             )
+            for topic in messages.input_topics(parameters)
+        }
         Changes(self, parameters, networks_for, self._change)
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
         self.create_timer(parameters.period / LOOKS_PER_PERIOD, self._look_at_clock)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(self._look_s, self._look_at_clock, clock=steady)
         self._other_publishers = OtherPublishers(self, self._outputs[messages.ODOM].topic_name)
         self._state_keeper.write_regularly(self.localizer.saved)
         self.get_logger().info(
@@ -113,30 +127,71 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._state_keeper.close()
         super().destroy_node()
 
-    def _now_ns(self) -> int:
-        """Return ROS time [ns]; 0 while simulated time has not begun."""
-        return int(self.get_clock().now().nanoseconds)
+    def _receive(self, topic: str, content: Any, info: dict[str, int]) -> None:
+        self._look(as_message(topic, content, info))
+        self._work()
 
-    def _receive(self, topic: str, message: Any, info: Mapping[str, int]) -> None:
-        now_ns = self._now_ns()
-        if now_ns <= 0:
+    def _look_at_clock(self) -> None:
+        """Let time pass up to a look into the queues, if everything that came before was taken.
+
+        Not up to the time after it: a node that is stopped between the two would let the time of
+        the stop pass before it takes what was sent in it.
+        """
+        looked_ns = self._look().ros_ns
+        self._work()
+        if looked_ns > 0 and self._arrivals.time_may_pass:
+            self._advance(looked_ns)
+
+    def _look(self, *first: Message) -> Moment:
+        """Take all messages out of the queues; return when."""
+        room = MOST_WAITING - len(self._arrivals) - len(first)
+        found = [*first, *take_all(self._inputs, room)] if room > 0 else list(first)
+        if self._arrivals.stopped(time.monotonic()):
+            take_clock(self)
+        moment = now_of(self)
+        if moment.ros_ns <= 0:
+            if found:
+                self.get_logger().warning(
+                    f"{found[0].topic} before the first /clock is dropped",
+                    throttle_duration_sec=LOG_INTERVAL_S,
+                )
+            return moment
+        self._arrivals.look(moment, found)
+        shed = self._arrivals.shed(moment, SHED)
+        if shed:
+            self.localizer.shed(shed)
             self.get_logger().warning(
-                f"{topic} before the first /clock is dropped", throttle_duration_sec=LOG_INTERVAL_S
+                f"the node is too slow for its inputs: {shed} readings are left out; lower the "
+                "sensors' rates, raise period or shorten history",
+                throttle_duration_sec=LOG_INTERVAL_S,
             )
-            return
-        received = self.localizer.receive(topic, message, now_ns)
+        return moment
+
+    def _work(self) -> None:
+        """Take what waits, for less than a period, and let the executor look before the rest."""
+        until_s = time.monotonic() + self._look_s
+        while (arrival := self._arrivals.first) is not None:
+            if time.monotonic() > until_s or self._advance(arrival.ros_ns):
+                self._more_to_do.trigger()
+                return
+            self._take(self._arrivals.take())
+
+    def _advance(self, now_ns: int) -> bool:
+        """Let time pass; return whether there is more to do until then."""
+        self._publish(self.localizer.advance(now_ns, MOST_PERIODS))
+        if self.localizer.is_behind:
+            self._more_to_do.trigger()
+            return True
+        return False
+
+    def _take(self, arrival: Arrival) -> None:
+        topic, content, _, received_ns = arrival.message
+        received = self.localizer.receive(topic, content, arrival.ros_ns)
         if received.rejected is not None:
             self._log_refusal(topic, received.rejected)
         self._publish(received.outputs)
         if received.outputs:
-            self._pace.waited(info["received_timestamp"])
-
-    def _look_at_clock(self) -> None:
-        now_ns = self._now_ns()
-        if now_ns > 0:
-            self._publish(self.localizer.advance(now_ns, MOST_PERIODS))
-            if self.localizer.is_behind:
-                self._more_to_do.trigger()
+            self._pace.waited(received_ns)
 
     def _publish(self, outputs: Sequence[Output]) -> None:
         for output in outputs:

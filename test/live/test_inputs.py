@@ -13,6 +13,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Int32
+from std_srvs.srv import SetBool
 
 from fnn_ekf_ros.ros import localizer as localizer_module
 from fnn_ekf_ros.timeline.events import CompassYaw, WheelCount
@@ -68,10 +69,11 @@ def test_an_override_that_makes_no_sense_ends_the_node_with_one_line(processes: 
     assert "always" in line
 
 
-def test_of_messages_that_wait_together_the_wheels_are_taken_last(
-    bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("wheels_first", [True, False])
+def test_messages_that_wait_together_are_taken_in_the_order_of_sending(
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch, wheels_first: bool
 ) -> None:
-    """They close periods: a reading that was sent before must not come too late for its own."""
+    """Wheels close periods: a reading that was sent before must not come too late for its own."""
     overrides = (
         f"qos_overrides./{topic}.subscription.reliability:=reliable"
         for topic in ("compass", "joint_states")
@@ -91,11 +93,13 @@ def test_of_messages_that_wait_together_the_wheels_are_taken_last(
     facing = Imu()
     facing.orientation.w = 1.0
     turned.header.stamp.sec = facing.header.stamp.sec = 100
-    for publisher, message in ((wheels, turned), (compass, facing)):
+    both = [(wheels, turned), (compass, facing)]
+    for publisher, message in both if wheels_first else reversed(both):
         publisher.publish(message)
         assert publisher.wait_for_all_acked(Duration(seconds=60))
     opened.spin_until(lambda: len(taken) == 3, "all of them")
-    assert taken == [CompassYaw, WheelCount, WheelCount]
+    counts = [WheelCount, WheelCount]
+    assert taken == ([*counts, CompassYaw] if wheels_first else [CompassYaw, *counts])
 
 
 def test_a_burst_of_joint_states_is_taken_whole(
@@ -224,3 +228,27 @@ def test_an_error_is_logged_as_one(bench: MakeBench, capfd: pytest.CaptureFixtur
         return any("[ERROR]" in line and "encoders: " in line for line in logged)
 
     opened.spin_until(has_error, "the error")
+
+
+def test_a_jump_of_the_clock_is_closed_in_parts_and_services_answer_in_between(
+    bench: MakeBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nearly ten minutes, of which no period may be missing."""
+    opened = bench(*START)
+    opened.set_clock(100 * S)
+    localizer = opened.localizer.localizer
+    advance = localizer.advance
+    closed: list[int] = []
+
+    def advance_and_count(*arguments: int) -> Any:
+        outputs = advance(*arguments)
+        closed.append(len(outputs))
+        return outputs
+
+    monkeypatch.setattr(localizer, "advance", advance_and_count)
+    opened.set_clock(600 * S)
+    assert opened.call(SetBool, "localizer/enable_adaptation", SetBool.Request()).success
+    answered_after = sum(closed)
+    opened.spin_until(lambda: sum(closed) > 1300, "all periods")
+    assert max(closed) == localizer_module.MOST_PERIODS
+    assert answered_after < 1300
