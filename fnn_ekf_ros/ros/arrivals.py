@@ -11,12 +11,18 @@ a reliable subscription asks for it. So nothing is taken, and no time passes, be
 row have found nothing that had waited, and each topic has given a message that was sent after the
 stop: of one topic, messages are delivered in the order of sending.
 
+Simulated time passes with messages of its own, which wait beside the others: a message comes at the
+time that was sent before it. A clock that stands, as that of a player that waits for this node,
+ends the waiting for what is sent after a stop.
+
 Nothing here knows ROS: a look is made with what was found and the time at which.
 """
 
 from collections import deque
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
+
+from fnn_ekf_ros.messages import CLOCK
 
 STALL_S = 0.25
 """Steady time between two looks from which on the node was stopped [s]: well above the interval of
@@ -30,9 +36,6 @@ LONGEST_HELD_S = 4.0
 """Longest time for which messages are held after a stop, while a topic is silent or gives old ones
 [s]. A reliable one of Fast DDS may be silent for 3 s, the interval at which its sender asks what is
 missing. Neither a sender's wrong clock nor one stop after the other holds the time for longer."""
-SAME_CLOCK_NS = 10**6
-"""Largest difference of the time between two looks by ROS time and by system time if they are the
-same clock [ns]: they are read one after the other."""
 SAME_MACHINE_NS = 20 * 10**6
 """Smallest delay of a topic that is taken for an offset of its sender's clock [ns]: below it topics
 keep the order in which they were sent."""
@@ -51,8 +54,8 @@ class Message(NamedTuple):
     """A message as the middleware gave it.
 
     Attributes:
-        topic: of the localizer.
-        content: the message.
+        topic: of the localizer, or `CLOCK`.
+        content: the message; of `CLOCK` the simulated time [ns].
         sent_ns: time of its sender's system clock [ns]; 0 if it is not known.
         received_ns: system time at which it reached the process [ns]; 0 if it is not known.
     """
@@ -69,16 +72,19 @@ class Moment(NamedTuple):
     Attributes:
         steady_s: steady time [s].
         system_ns: system time [ns], with which messages are marked.
-        ros_ns: ROS time [ns].
+        ros_ns: ROS time, where it is that of the system [ns]; None: it comes as messages.
     """
 
     steady_s: float
     system_ns: int
-    ros_ns: int
+    ros_ns: int | None
 
 
 class Arrival(NamedTuple):
-    """A message with the ROS time at which it came [ns], in the order of coming."""
+    """A message with the ROS time at which it came [ns], in the order of coming.
+
+    Simulated time is 0 before the first message of it.
+    """
 
     ros_ns: int
     message: Message
@@ -94,6 +100,8 @@ class _Stop(NamedTuple):
         missing: those of them that have given no message yet that was sent after it.
         quiet_s: steady time since which no old message was found [s].
         looks: number of looks since then.
+        clock_ns: the newest simulated time that was sent [ns]; 0 if there is none.
+        ran_s: steady time since which it stands [s].
         until_s: steady time at which it counts as over in any case [s].
     """
 
@@ -103,6 +111,8 @@ class _Stop(NamedTuple):
     missing: frozenset[str]
     quiet_s: float
     looks: int
+    clock_ns: int
+    ran_s: float
     until_s: float
 
 
@@ -116,6 +126,7 @@ class Arrivals:
         self._stop: _Stop | None = None
         self._delay_ns: dict[str, int] = {}
         self._heard_s: dict[str, float] = {}
+        self._simulated_ns = 0
         self._late_after_s: float | None = None
 
     def look(self, moment: Moment, found: Sequence[Message]) -> None:
@@ -124,17 +135,30 @@ class Arrivals:
             self._stop = self._stopped_before(moment, self._last)
         last, self._last = self._last, moment
         self._heard_s.update((message.topic, moment.steady_s) for message in found)
-        if self._stop is None:
-            came_ns = moment.ros_ns if last is None else min(last.ros_ns, moment.ros_ns)
-            for message in sorted(found, key=lambda each: each.sent_ns):
-                if message.sent_ns and message.received_ns:
-                    delay_ns = message.received_ns - message.sent_ns
-                    known_ns = self._delay_ns.get(message.topic, delay_ns)
-                    self._delay_ns[message.topic] = min(delay_ns, known_ns + FORGOTTEN_NS)
-                came_ns = max(came_ns, _received_ns(message, last, moment))
-                self._waiting.append(Arrival(came_ns, message))
+        if self._stop is not None:
+            self._hold(self._stop, moment, found)
             return
-        self._hold(self._stop, moment, found)
+        for message in found:
+            if message.sent_ns and message.received_ns:
+                delay_ns = message.received_ns - message.sent_ns
+                known_ns = self._delay_ns.get(message.topic, delay_ns)
+                self._delay_ns[message.topic] = min(delay_ns, known_ns + FORGOTTEN_NS)
+        came_ns = 0 if last is None or last.ros_ns is None else last.ros_ns
+        for message in sorted(found, key=self._came_ns):
+            if moment.ros_ns is None:
+                came_ns = self._simulated(message)
+            else:
+                received_ns = moment.ros_ns
+                if last is not None and message.received_ns:
+                    received_ns -= max(moment.system_ns - message.received_ns, 0)
+                came_ns = min(max(came_ns, received_ns), moment.ros_ns)
+            self._waiting.append(Arrival(came_ns, message))
+
+    def _simulated(self, message: Message) -> int:
+        """Return the simulated time at which a message comes, in the order of sending [ns]."""
+        if message.topic == CLOCK:
+            self._simulated_ns = int(message.content)
+        return self._simulated_ns
 
     def _stopped_before(self, moment: Moment, last: Moment) -> _Stop:
         """Return the stop that is over now; it goes on where the node was stopped in it again."""
@@ -151,6 +175,8 @@ class Arrivals:
             missing=expected,
             quiet_s=moment.steady_s,
             looks=0,
+            clock_ns=0,
+            ran_s=moment.steady_s,
             until_s=moment.steady_s + LONGEST_HELD_S,
         )
 
@@ -163,16 +189,24 @@ class Arrivals:
         else:
             stop = stop._replace(looks=stop.looks + 1)
         new = {message.topic for message in found if self._came_ns(message) >= stop.over_ns}
+        clock_ns = max((each.content for each in found if each.topic == CLOCK), default=0)
+        if clock_ns > stop.clock_ns:
+            stop = stop._replace(clock_ns=clock_ns, ran_s=moment.steady_s)
         self._stop = stop = stop._replace(missing=stop.missing - new)
-        quiet_s = moment.steady_s - stop.quiet_s
-        delivered = not stop.missing and quiet_s >= HELD_S and stop.looks >= HELD_LOOKS
-        if delivered or moment.steady_s >= stop.until_s:
+        delivered = moment.steady_s - stop.quiet_s >= HELD_S and stop.looks >= HELD_LOOKS
+        stands = moment.ros_ns is None and moment.steady_s - stop.ran_s >= HELD_S
+        is_over = delivered and (stands or not stop.missing)
+        if is_over or moment.steady_s >= stop.until_s:
             self._release(stop.before, moment)
 
     def _release(self, before: Moment, now: Moment) -> None:
         """Let what was held during a stop be taken, each message at its time."""
         for message in sorted(self._held, key=self._came_ns):
-            self._waiting.append(Arrival(_at(self._came_ns(message), before, now), message))
+            if now.ros_ns is None or before.ros_ns is None:
+                came_ns = self._simulated(message)
+            else:
+                came_ns = _at(self._came_ns(message), before, now)
+            self._waiting.append(Arrival(came_ns, message))
         self._held, self._stop = [], None
 
     def _came_ns(self, message: Message) -> int:
@@ -202,42 +236,40 @@ class Arrivals:
         """Return the message that came first; it waits no longer."""
         return self._waiting.popleft()
 
-    def shed(self, moment: Moment, topics: Collection[str]) -> int:
+    def shed(self, steady_s: float, topics: Collection[str]) -> int:
         """Drop messages if they come faster than they are taken; return how many.
 
         Args:
-            moment: now.
+            steady_s: steady time [s].
             topics: of which messages may be left out.
         """
-        if not self._waiting or moment.ros_ns - self._waiting[0].ros_ns < LAG_S * 1e9:
+        lag_s = self._lag_s()
+        if lag_s < LAG_S:
             self._late_after_s = None
             return 0
-        lag_s = (moment.ros_ns - self._waiting[0].ros_ns) * 1e-9
         if self._late_after_s is None:
-            self._late_after_s = moment.steady_s + max(lag_s, CATCHING_UP_S)
-        if moment.steady_s < self._late_after_s:
+            self._late_after_s = steady_s + max(lag_s, CATCHING_UP_S)
+        if steady_s < self._late_after_s:
             return 0
         before = len(self._waiting)
         self._waiting = deque(each for each in self._waiting if each.message.topic not in topics)
         self._late_after_s = None
         return before - len(self._waiting)
 
-
-def _received_ns(message: Message, last: Moment | None, now: Moment) -> int:
-    """Return the ROS time at which a message reached a node that runs [ns].
-
-    Where ROS time is not that of the system, as in a simulation, it is known at looks only.
-    """
-    if last is None or not message.received_ns:
-        return now.ros_ns
-    apart_ns = (now.ros_ns - last.ros_ns) - (now.system_ns - last.system_ns)
-    if abs(apart_ns) > SAME_CLOCK_NS:
-        return now.ros_ns
-    return now.ros_ns - max(now.system_ns - message.received_ns, 0)
+    def _lag_s(self) -> float:
+        """Return how long the first message has been waiting [s], in ROS time."""
+        if self._last is None or not self._waiting:
+            return 0.0
+        now_ns = self._last.ros_ns
+        if now_ns is None:
+            now_ns = self._simulated_ns
+        return (now_ns - self._waiting[0].ros_ns) * 1e-9
 
 
 def _at(system_ns: int, before: Moment, now: Moment) -> int:
     """Return the ROS time at a system time [ns] between two moments."""
+    assert before.ros_ns is not None
+    assert now.ros_ns is not None
     past_ns = now.system_ns - before.system_ns
     if past_ns <= 0:  # the clock was set back meanwhile
         return now.ros_ns

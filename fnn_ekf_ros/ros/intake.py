@@ -13,10 +13,10 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.time import Time
 
-from fnn_ekf_ros import messages
+from fnn_ekf_ros.messages import CLOCK
 from fnn_ekf_ros.ros.arrivals import Message, Moment
-from fnn_ekf_ros.ros.build import message_class
 
 MOST_WAITING = 20_000
 """Largest number of messages that wait in a node [messages]: five seconds of four topics at 1 kHz.
@@ -24,17 +24,10 @@ Further ones stay in the queues, which drop the oldest ones if they overflow."""
 
 
 def now_of(node: Node) -> Moment:
-    """Return what the clocks of a node show; ROS time is 0 while simulated time has not begun."""
-    return Moment(time.monotonic(), time.time_ns(), int(node.get_clock().now().nanoseconds))
-
-
-def take_clock(node: Node) -> None:
-    """Let a node with simulated time see the newest time that has reached it."""
-    clock_type = message_class(messages.CLOCK_TYPE)
-    for subscription in node.subscriptions:
-        if subscription.msg_type is clock_type:
-            for content, _ in _taken(subscription):
-                subscription.callback(content)
+    """Return what the clocks of a node show."""
+    clock = node.get_clock()
+    ros_ns = None if clock.ros_time_is_active else int(clock.now().nanoseconds)
+    return Moment(time.monotonic(), time.time_ns(), ros_ns)
 
 
 def take_all(subscriptions: dict[str, Subscription], room: int) -> list[Message]:
@@ -57,6 +50,8 @@ def take_all(subscriptions: dict[str, Subscription], room: int) -> list[Message]
 
 def as_message(topic: str, content: Any, info: dict[str, int]) -> Message:
     """Return a message with its times."""
+    if topic == CLOCK:
+        content = int(Time.from_msg(content.clock).nanoseconds)
     return Message(topic, content, info["source_timestamp"], info["received_timestamp"])
 
 

@@ -22,7 +22,7 @@ from fnn_ekf_ros.ros.arrivals import Arrival, Arrivals, Message, Moment
 from fnn_ekf_ros.ros.build import build_message, message_class
 from fnn_ekf_ros.ros.changes import Changes
 from fnn_ekf_ros.ros.event_group import EventGroup
-from fnn_ekf_ros.ros.intake import MOST_WAITING, as_message, now_of, take_all, take_clock
+from fnn_ekf_ros.ros.intake import MOST_WAITING, as_message, now_of, take_all
 from fnn_ekf_ros.ros.level_changes import LevelChanges
 from fnn_ekf_ros.ros.other_publishers import OtherPublishers
 from fnn_ekf_ros.ros.pace import LOOKS_PER_PERIOD, Pace
@@ -42,6 +42,7 @@ from rclpy.clock import Clock, ClockType  # isort: skip
 from rclpy.node import Node  # isort: skip  (runtime explains it if ROS is not here)
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # isort: skip
 from rclpy.qos_overriding_options import QoSOverridingOptions  # isort: skip
+from rclpy.subscription import Subscription  # isort: skip
 from std_srvs.srv import SetBool, Trigger  # isort: skip
 
 INPUT_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -82,31 +83,23 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._more_to_do = self.create_guard_condition(self._work)
         self._levels = LevelChanges(LOG_INTERVAL_S)
         self._logged_s: dict[str, float] = {}
-        overridable = QoSOverridingOptions.with_default_policies()
         outputs = messages.output_topics() | {messages.DIAGNOSTICS: messages.DIAGNOSTICS_TYPE}
         self._outputs = {
             topic: self.create_publisher(
                 message_class(type_name),
                 topic,
                 copy.copy(OUTPUT_QOS),
-                qos_overriding_options=overridable,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
             for topic, type_name in outputs.items()
         }
-        self._inputs = {
-            topic: self.create_subscription(
-                message_class(messages.INPUT_TYPES[topic]),
-                topic,
-                functools.partial(self._receive, topic),
-                copy.copy(INPUT_QOS),  # an override is written into it
-                qos_overriding_options=overridable,
-            )
-            for topic in messages.input_topics(parameters)
-        }
+        self._inputs: dict[str, Subscription] = {}
+        for topic in messages.input_topics(parameters):
+            self._listen_to(topic, messages.INPUT_TYPES[topic])
+        self._listen_to_simulated_time()
         Changes(self, parameters, networks_for, self._change)
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(SetBool, "~/enable_adaptation", self._enable_adaptation)
-        self.create_timer(parameters.period / LOOKS_PER_PERIOD, self._look_at_clock)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(self._look_s, self._look_at_clock, clock=steady)
         self._other_publishers = OtherPublishers(self, self._outputs[messages.ODOM].topic_name)
@@ -127,6 +120,20 @@ class LocalizerNode(Node):  # type: ignore[misc]
         self._state_keeper.close()
         super().destroy_node()
 
+    def _listen_to(self, topic: str, type_name: str) -> None:
+        self._inputs[topic] = self.create_subscription(
+            message_class(type_name),
+            topic,
+            functools.partial(self._receive, topic),
+            copy.copy(INPUT_QOS),  # an override is written into it
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _listen_to_simulated_time(self) -> None:
+        """Listen to /clock, if the clock follows it; rclpy keeps the last message of it only."""
+        if self.get_clock().ros_time_is_active and messages.CLOCK not in self._inputs:
+            self._listen_to(messages.CLOCK, messages.CLOCK_TYPE)
+
     def _receive(self, topic: str, content: Any, info: dict[str, int]) -> None:
         self._look(as_message(topic, content, info))
         self._work()
@@ -139,25 +146,17 @@ class LocalizerNode(Node):  # type: ignore[misc]
         """
         looked_ns = self._look().ros_ns
         self._work()
-        if looked_ns > 0 and self._arrivals.time_may_pass:
+        if looked_ns is not None and self._arrivals.time_may_pass:
             self._advance(looked_ns)
 
     def _look(self, *first: Message) -> Moment:
         """Take all messages out of the queues; return when."""
         room = MOST_WAITING - len(self._arrivals) - len(first)
         found = [*first, *take_all(self._inputs, room)] if room > 0 else list(first)
-        if self._arrivals.stopped(time.monotonic()):
-            take_clock(self)
         moment = now_of(self)
-        if moment.ros_ns <= 0:
-            if found:
-                self.get_logger().warning(
-                    f"{found[0].topic} before the first /clock is dropped",
-                    throttle_duration_sec=LOG_INTERVAL_S,
-                )
-            return moment
+        self._listen_to_simulated_time()
         self._arrivals.look(moment, found)
-        shed = self._arrivals.shed(moment, SHED)
+        shed = self._arrivals.shed(moment.steady_s, SHED)
         if shed:
             self.localizer.shed(shed)
             self.get_logger().warning(
@@ -178,6 +177,8 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     def _advance(self, now_ns: int) -> bool:
         """Let time pass; return whether there is more to do until then."""
+        if now_ns <= 0:  # simulated time has not begun
+            return False
         self._publish(self.localizer.advance(now_ns, MOST_PERIODS))
         if self.localizer.is_behind:
             self._more_to_do.trigger()
@@ -186,6 +187,13 @@ class LocalizerNode(Node):  # type: ignore[misc]
 
     def _take(self, arrival: Arrival) -> None:
         topic, content, _, received_ns = arrival.message
+        if topic == messages.CLOCK:
+            return
+        if arrival.ros_ns <= 0:
+            self.get_logger().warning(
+                f"{topic} before the first /clock is dropped", throttle_duration_sec=LOG_INTERVAL_S
+            )
+            return
         received = self.localizer.receive(topic, content, arrival.ros_ns)
         if received.rejected is not None:
             self._log_refusal(topic, received.rejected)

@@ -282,4 +282,3 @@ def test_a_run_as_configured_is_healthy_and_one_with_wrong_wheels_is_not() -> No
     _, outputs = drive(**wrong)
     summary = followed(outputs, **wrong)
     assert not summary.healthy
-    assert any(each.suspicious for each in summary.noise[:2])

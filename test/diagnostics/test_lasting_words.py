@@ -26,6 +26,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
     with_doubtful_yaw,
 )
 from fnn_ekf_ros.diagnostics.lasting_words import doubtful_yaw, lasting_in_words, yaw_offset
+from fnn_ekf_ros.diagnostics.messages import FixMessage
 from fnn_ekf_ros.diagnostics.recent_periods import Readings, begin_recent, recent_after
 from fnn_ekf_ros.diagnostics.sensor_status import measuring_status
 from fnn_ekf_ros.membership.files import networks_for
@@ -170,9 +171,13 @@ def test_without_a_compass_the_fixes_yaw_is_named() -> None:
             arrivals.append(Arrival(now_ns, event))
     outputs = feed(make_localizer(lrf_use_yaw=True, lrf_yaw_std=0.1342), arrivals)
     assert named(outputs) == {"lrf_pose"}
-    last = statuses(outputs, "lrf_pose")[-1]
-    assert last.message == OFFSET
-    assert float(dict(last.values)["yaw offset [rad]"]) == pytest.approx(1.57, abs=0.2)
+    said = statuses(outputs, "lrf_pose")
+    found = [status for status in said if status.message == OFFSET][-1]
+    assert float(dict(found.values)["yaw offset [rad]"]) == pytest.approx(1.57, abs=0.2)
+    # Once it is known to be there since the start, the parameter is named.
+    assert said[-1].message == FixMessage.YAW_OFF
+    fitting = dict(said[-1].values)["parameter that would fit"].removeprefix("lrf_yaw_offset: ")
+    assert float(fitting) == pytest.approx(-1.57, abs=0.2)
 
 
 def test_filters_that_follow_no_lasting_errors_say_nothing_of_them() -> None:

@@ -132,7 +132,7 @@ class Bench:
         """Set ROS time and wait until the localizer knows it."""
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
-        wait_until(self._clock.get_subscription_count, "the clock's subscriber")
+        wait_until(lambda: self._clock.get_subscription_count() > 1, "the clock's subscribers")
         self._clock.publish(message)
         clock = self.localizer.get_clock()
         self.spin_until(lambda: clock.now().nanoseconds == now_ns, f"ROS time {now_ns}")

@@ -121,8 +121,9 @@ def test_what_a_killed_command_has_left_is_no_bag(
     with pytest.raises(BagError) as caught:
         BagReader(file)
     assert re.fullmatch(
-        rf"bag '{re.escape(str(file))}' cannot be read: it breaks off after \d+\.\d MB, its writer "
-        "was ended too early; `mcap recover` writes what is complete into a new file",
+        rf"bag '{re.escape(str(file))}' cannot be read: '{re.escape(str(file))}' breaks off after "
+        r"[\d.]+ MB, its writer was ended too early; `mcap recover \S+ -o recovered.mcap` writes "
+        "what is complete into a file that can be given instead",
         str(caught.value),
     )
     with pytest.raises(BagError, match=r"has no metadata\.yaml"):

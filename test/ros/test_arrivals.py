@@ -7,6 +7,7 @@ import itertools
 
 import pytest
 
+from fnn_ekf_ros.messages import CLOCK
 from fnn_ekf_ros.ros.arrivals import (
     CATCHING_UP_S,
     HELD_LOOKS,
@@ -23,9 +24,14 @@ LOOK_S = 0.1
 T0_NS = 1000 * S
 
 
-def at(seconds: float, *, ros_rate: float = 1.0) -> Moment:
-    """Return a moment; ROS time has a rate of its own."""
-    return Moment(seconds, T0_NS + round(seconds * S), round(ros_rate * seconds * S) + S)
+def at(seconds: float, *, simulated: bool = False) -> Moment:
+    system_ns = T0_NS + round(seconds * S)
+    return Moment(seconds, system_ns, None if simulated else round(seconds * S) + S)
+
+
+def clock(seconds: float, time_s: float, arrived: float | None = None) -> Message:
+    """Return simulated time that was sent after so many seconds."""
+    return sent(CLOCK, seconds, arrived)._replace(content=round(time_s * S))
 
 
 def sent(topic: str, seconds: float, arrived: float | None = None) -> Message:
@@ -34,22 +40,28 @@ def sent(topic: str, seconds: float, arrived: float | None = None) -> Message:
     return Message(topic, None, sent_ns, T0_NS + round(received_s * S))
 
 
-def ran(seconds: float = 1.0, **clocks: float) -> Arrivals:
-    """Return what a node had that has heard two topics until then; nothing waits."""
+def ran(seconds: float = 1.0, *, simulated: bool = False) -> Arrivals:
+    """Return what a node had that has heard two topics until then; nothing waits.
+
+    Simulated time is ten times as fast.
+    """
     arrivals = Arrivals()
     for place in range(round(seconds / LOOK_S) + 1):
         now_s = place * LOOK_S
-        arrivals.look(at(now_s, **clocks), [sent("wheels", now_s), sent("fixes", now_s)])
+        found = [sent("wheels", now_s), sent("fixes", now_s)]
+        if simulated:
+            found.append(clock(now_s, 10.0 * now_s))
+        arrivals.look(at(now_s, simulated=simulated), found)
     while arrivals.first is not None:
         arrivals.take()
     return arrivals
 
 
-def released_s(arrivals: Arrivals, begin_s: float, **clocks: float) -> float:
+def released_s(arrivals: Arrivals, begin_s: float, *, simulated: bool = False) -> float:
     """Look without finding anything until all is released; return when."""
     for looks in itertools.count():
         now_s = begin_s + looks * LOOK_S
-        arrivals.look(at(now_s, **clocks), [])
+        arrivals.look(at(now_s, simulated=simulated), [])
         if arrivals.first is not None or arrivals.time_may_pass:
             return now_s
     raise AssertionError
@@ -68,32 +80,68 @@ def test_messages_come_at_once_and_in_the_order_of_sending() -> None:
     assert arrivals.time_may_pass
 
 
-@pytest.mark.parametrize("ros_rate", [0.0, 10.0])
-def test_in_simulated_time_messages_come_at_the_look(ros_rate: float) -> None:
-    """The clock that was sent before them has been taken by then."""
-    arrivals = ran(ros_rate=ros_rate)
-    arrivals.look(at(1.1, ros_rate=ros_rate), [sent("wheels", 1.05), sent("fixes", 1.07)])
-    assert {arrivals.take().ros_ns for _ in range(2)} == {at(1.1, ros_rate=ros_rate).ros_ns}
+def test_in_simulated_time_messages_come_at_the_time_that_was_sent_before_them() -> None:
+    arrivals = ran(simulated=True)
+    found = [sent("wheels", s) for s in (1.05, 1.07, 1.09)] + [clock(1.06, 17.0), clock(1.08, 16.0)]
+    arrivals.look(at(1.1, simulated=True), found)
+    taken = [arrivals.take() for _ in found]
+    assert [each.message.topic for each in taken] == ["wheels", CLOCK, "wheels", CLOCK, "wheels"]
+    assert [each.ros_ns for each in taken] == [10 * S, 17 * S, 17 * S, 16 * S, 16 * S]
 
 
-@pytest.mark.parametrize("ros_rate", [1.0, 10.0, 0.0])
-def test_after_a_stop_each_message_comes_when_it_was_sent(ros_rate: float) -> None:
-    """In ROS time, whatever its rate is; also what comes later, one topic after the other."""
-    arrivals = ran(ros_rate=ros_rate)
-    clock = {"ros_rate": ros_rate}
-    arrivals.look(at(6.0, **clock), [])
+def test_before_the_first_simulated_time_it_is_0() -> None:
+    arrivals = Arrivals()
+    arrivals.look(at(0.0, simulated=True), [sent("wheels", 0.0), clock(0.1, 5.0)])
+    assert [arrivals.take().ros_ns for _ in range(2)] == [0, 5 * S]
+
+
+def test_after_a_stop_each_message_comes_when_it_was_sent() -> None:
+    """Also what comes later, one topic after the other."""
+    arrivals = ran()
+    arrivals.look(at(6.0), [])
     assert not arrivals.time_may_pass, "nothing was delivered yet"
-    arrivals.look(at(6.1, **clock), [sent("wheels", s, 6.1) for s in (1.5, 3.0, 6.05)])
+    arrivals.look(at(6.1), [sent("wheels", s, 6.1) for s in (1.5, 3.0, 6.05)])
     assert arrivals.first is None
-    arrivals.look(at(6.2, **clock), [sent("fixes", s, 6.2) for s in (1.2, 2.0, 6.15)])
-    end_s = released_s(arrivals, 6.3, **clock)
+    arrivals.look(at(6.2), [sent("fixes", s, 6.2) for s in (1.2, 2.0, 6.15)])
+    end_s = released_s(arrivals, 6.3)
     assert end_s == pytest.approx(6.2 + HELD_S, abs=0.5 * LOOK_S)
     taken = [arrivals.take() for _ in range(len(arrivals))]
     assert [each.message.topic[0] for each in taken] == list("fwfwwf")
     for each in taken:
         sent_s = (each.message.sent_ns - T0_NS) / S
-        assert each.ros_ns == pytest.approx(at(sent_s, **clock).ros_ns, abs=2)
+        assert each.ros_ns == pytest.approx(at(sent_s).ros_ns, abs=2)
     assert arrivals.time_may_pass
+
+
+def test_after_a_stop_simulated_time_passes_among_the_messages() -> None:
+    arrivals = ran(simulated=True)
+    arrivals.look(at(6.1, simulated=True), [clock(s, 10.0 * s, 6.1) for s in (2.0, 4.0, 6.0)])
+    late = [sent("wheels", s, 6.2) for s in (1.5, 3.0, 5.0)]
+    arrivals.look(at(6.2, simulated=True), late)
+    released_s(arrivals, 6.3, simulated=True)
+    taken = [arrivals.take() for _ in range(len(arrivals))]
+    assert [each.ros_ns for each in taken] == [each * S for each in (10, 20, 20, 40, 40, 60)]
+
+
+def test_a_clock_that_stands_ends_the_waiting_for_other_topics() -> None:
+    """As that of a player that waits for the node: it sends nothing more before."""
+    arrivals = ran(simulated=True)
+    for looks in itertools.count():
+        now_s = 6.0 + looks * LOOK_S
+        arrivals.look(at(now_s, simulated=True), [clock(now_s, 12.0)])
+        if arrivals.first is not None:
+            break
+    assert now_s == pytest.approx(6.0 + HELD_S, abs=LOOK_S)
+
+
+def test_a_clock_that_goes_on_does_not_end_it() -> None:
+    arrivals = ran(simulated=True)
+    for looks in itertools.count():
+        now_s = 6.0 + looks * LOOK_S
+        arrivals.look(at(now_s, simulated=True), [clock(now_s, 10.0 * now_s)])
+        if arrivals.first is not None:
+            break
+    assert now_s == pytest.approx(6.0 + LONGEST_HELD_S, abs=LOOK_S)
 
 
 def test_a_topic_that_was_heard_before_is_waited_for_but_not_for_good() -> None:
@@ -183,7 +231,7 @@ def test_a_node_that_keeps_up_leaves_nothing_out() -> None:
     arrivals.look(at(6.05), found)
     now_s = released_s(arrivals, 6.1)
     while len(arrivals):
-        assert arrivals.shed(at(now_s), ("fixes",)) == 0
+        assert arrivals.shed(now_s, ("fixes",)) == 0
         for _ in range(min(5, len(arrivals))):
             arrivals.take()
         now_s += LOOK_S
@@ -199,11 +247,11 @@ def test_a_node_that_is_too_slow_leaves_readings_out_and_never_wheels() -> None:
             at(now_s),
             [sent("wheels", now_s)] * 2 + [sent("fixes", now_s)] * 18,
         )
-        shed += arrivals.shed(at(now_s), ("fixes",))
+        shed += arrivals.shed(now_s, ("fixes",))
         for _ in range(min(10, len(arrivals))):
             wheels += arrivals.take().message.topic == "wheels"
         if arrivals.first is not None:
-            worst_s = max(worst_s, (at(now_s).ros_ns - arrivals.first.ros_ns) / S)
+            worst_s = max(worst_s, (round(now_s * S) + S - arrivals.first.ros_ns) / S)
     wheels += sum(arrivals.take().message.topic == "wheels" for _ in range(len(arrivals)))
     assert shed > 1000
     assert wheels == 1200
