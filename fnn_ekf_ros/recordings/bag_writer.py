@@ -4,12 +4,12 @@
 """Writing of rosbag2 recordings, whole or not at all."""
 
 import os
+import secrets
 import shutil
 import struct
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self
 
@@ -134,19 +134,16 @@ class BagWriter:
 
     def __enter__(self) -> Self:
         """Open the bag in a hidden folder beside its place."""
+        # It is named before it is made: a signal may come at any moment.
+        self._work = self.path.parent / f".{self.path.name}.{secrets.token_hex(4)}"
         try:
-            self._work = TemporaryDirectory(
-                prefix=f".{self.path.name}.", dir=self.path.parent, ignore_cleanup_errors=True
-            )
-        except OSError as error:
-            raise self._broken(error) from None
-        try:
+            self._work.mkdir(mode=0o700)
             self._open()
         except Exception as error:  # the storages raise errors of many kinds
-            self._work.cleanup()
+            self._clean_up()
             raise self._broken(error) from None
         except BaseException:  # a signal
-            self._work.cleanup()
+            self._clean_up()
             raise
         return self
 
@@ -179,15 +176,18 @@ class BagWriter:
                 raise
             raise self._broken(failure) from None
         finally:
-            self._work.cleanup()
+            self._clean_up()
+
+    def _clean_up(self) -> None:
+        shutil.rmtree(self._work, ignore_errors=True)
 
     def _new(self, result: Path) -> Path:
         """Return where a result lies until it is complete."""
-        return Path(self._work.name) / result.name
+        return self._work / result.name
 
     def _old(self, result: Path) -> Path:
         """Return where what a result replaces lies until the new one is in its place."""
-        return Path(self._work.name) / f"{result.name}.old"
+        return self._work / f"{result.name}.old"
 
     def _put_back(self, result: Path) -> None:
         """Undo what has been done to give a result its place, wherever it broke off."""
@@ -197,12 +197,11 @@ class BagWriter:
             self._old(result).rename(result)
 
     def _open(self) -> None:
-        work = Path(self._work.name)
         if self._beside:
-            (work / file_beside(self.path).name).write_text(self._beside, encoding="utf-8")
+            (self._work / file_beside(self.path).name).write_text(self._beside, encoding="utf-8")
         mcap = self._storage == "mcap"
         plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-        self._writer = Writer(work / self.path.name, version=9, storage_plugin=plugin)
+        self._writer = Writer(self._work / self.path.name, version=9, storage_plugin=plugin)
         if mcap:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         for key, text in self._notes.items():

@@ -5,12 +5,13 @@
 
 import errno
 import os
+import secrets
+import shutil
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TextIO
 
 from fnn_ekf_ros.errors import FnnEkfError, reason_of
@@ -183,8 +184,11 @@ def result_folder(path: Path, option: str = "--out") -> Iterator[Path]:
     """
     try:
         place = path if path.is_dir() else _first_that_is_there(path)
-        with TemporaryDirectory(prefix=".results.", dir=place) as work:
-            inner = Path(work) / "results"
+        # It is named before it is made: a signal may come at any moment.
+        work = place / f".results.{secrets.token_hex(4)}"
+        inner = work / "results"
+        try:
+            work.mkdir(mode=0o700)
             inner.mkdir()
             yield inner
             if path.is_dir():
@@ -193,6 +197,8 @@ def result_folder(path: Path, option: str = "--out") -> Iterator[Path]:
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 inner.rename(path)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
     except (OSError, ValueError) as error:
         raise FnnEkfError(f"{option} '{path}': {reason_of(error)}") from None
 

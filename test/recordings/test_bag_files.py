@@ -17,6 +17,7 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.recordings.bag_files import BagError, BagReader, Record
 from fnn_ekf_ros.recordings.bag_writer import STORAGES, BagWriter
+from fnn_ekf_ros.reports.results import result_folder
 
 START_NS = 1_700_000_000_000_000_001
 
@@ -189,6 +190,28 @@ def test_an_error_leaves_nothing(tmp_path: Path, storage: str, error: type[BaseE
 
     with pytest.raises(error):
         break_off()
+    assert list(tmp_path.iterdir()) == []
+
+
+def interrupt_after_mkdir(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a signal come as soon as a folder is there."""
+    mkdir = Path.mkdir
+
+    def interrupted(path: Path, *words: Any, **options: Any) -> None:
+        mkdir(path, *words, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", interrupted)
+
+
+def test_a_signal_in_the_first_moment_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupt_after_mkdir(monkeypatch)
+    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "bag"):
+        pass
+    with pytest.raises(KeyboardInterrupt), result_folder(tmp_path / "out"):
+        pass
     assert list(tmp_path.iterdir()) == []
 
 
