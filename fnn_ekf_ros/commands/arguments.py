@@ -17,6 +17,7 @@ from fnn_ekf_ros.parameters.files import (
 )
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import Parameters, fields_of
+from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.recordings.inputs import TOPICS
 from fnn_ekf_ros.reports.results import check_results, text_result
 from fnn_ekf_ros.study.workers import available_cpus
@@ -138,6 +139,25 @@ def given_parameters(arguments: argparse.Namespace, node_name: str) -> dict[str,
     values.update(parse_assignment(text) for text in arguments.assignments)
     refuse_what_ros_refuses(values)
     return values
+
+
+def recorded_parameters(
+    arguments: argparse.Namespace, bag: Path, node_name: str
+) -> tuple[dict[str, Any], list[str]]:
+    """Return parameters for a recording, and the names of the files beside it that they are from.
+
+    Those of `NAME.yaml` beside `NAME` hold unless `--params` and `-p` say otherwise.
+
+    Raises:
+        ParameterError: a file or an assignment that cannot be read.
+    """
+    values: dict[str, Any] = {}
+    files = []
+    beside = file_beside(bag.with_suffix("") if bag.is_file() else bag)
+    if beside.exists():
+        values = read_parameter_file(beside, node_name)
+        files.append(beside.name)
+    return values | given_parameters(arguments, node_name), files
 
 
 def add_remapping_argument(parser: argparse.ArgumentParser) -> None:

@@ -6,26 +6,23 @@
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from fnn_ekf_ros.commands.arguments import (
     add_parameter_arguments,
     add_remapping_argument,
     add_study_results,
     chosen_names,
-    given_parameters,
+    recorded_parameters,
 )
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.files.text_files import write_text
 from fnn_ekf_ros.parameters.files import (
     parse_assignment,
-    read_parameter_file,
     render_parameter_file,
 )
 from fnn_ekf_ros.parameters.localizer import NODE_NAME, LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, build
 from fnn_ekf_ros.recordings.bag_files import STORAGE_SUFFIXES, check_bags
-from fnn_ekf_ros.recordings.bag_writer import file_beside
 from fnn_ekf_ros.reports.pictures import require_matplotlib
 from fnn_ekf_ros.reports.results import study_results
 from fnn_ekf_ros.study.ablations import real_filters
@@ -156,13 +153,7 @@ def _teacher(arguments: argparse.Namespace, robot: LocalizerParameters) -> Teach
 
 def _parameters(path: Path, arguments: argparse.Namespace) -> tuple[LocalizerParameters, list[str]]:
     """Return the parameters for a bag, and the files they are from; the given ones win."""
-    values: dict[str, Any] = {}
-    files = []
-    beside = file_beside(path.with_suffix("") if path.is_file() else path)
-    if beside.exists():
-        values = read_parameter_file(beside, NODE_NAME)
-        files.append(beside.name)
-    values |= given_parameters(arguments, NODE_NAME)
+    values, files = recorded_parameters(arguments, path, NODE_NAME)
     for name in SET_BY_NAMES:
         values.pop(name, None)
     parameters = build(LocalizerParameters, values)

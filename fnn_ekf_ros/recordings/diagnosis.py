@@ -9,14 +9,14 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from fnn_ekf_ros import messages
-from fnn_ekf_ros.calibration.examination import Examined, examine
+from fnn_ekf_ros.calibration.examination import Drive, Examined, examine
 from fnn_ekf_ros.calibration.findings import Certainty, Change, Finding, in_order
 from fnn_ekf_ros.errors import FnnEkfError
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.schema import ParameterError, build, fields_of
 from fnn_ekf_ros.recordings.bag_facts import FactsCollector, TopicFacts, by_name
 from fnn_ekf_ros.recordings.bag_files import BagReader, Record
-from fnn_ekf_ros.recordings.drive_readings import DriveCollector, clock_findings
+from fnn_ekf_ros.recordings.drive_readings import DriveReadings, clock_findings
 from fnn_ekf_ros.recordings.input_plan import InputPlan, plan_inputs
 from fnn_ekf_ros.recordings.inputs import TopicNames, inputs_in
 
@@ -81,19 +81,31 @@ class BagExamination:
         self._plan = plan_inputs(bag, self._configured.values, names)
         self._values = {**self._configured.values, "encoder_source": self._plan.source}
         self._collector = FactsCollector(bag)
-        self._readings = DriveCollector(bag, self._plan, self._values)
+        self._readings = DriveReadings(self._values)
+        self._topics = {name: topic for topic, name in self._plan.topics.items()}
 
     def add(self, record: Record) -> None:
         """Take a record in."""
         self._collector.add(record)
-        self._readings.add(record)
+        topic = self._topics.get(record.topic)
+        if topic is not None:
+            self._readings.take(topic, self._bag.message(record), record.time_ns)
+
+    @property
+    def configured(self) -> dict[str, Any]:
+        """All parameters that the examination goes by."""
+        return self._values
+
+    def drive(self) -> Drive:
+        """Return the readings, with the stamps of other clocks put right."""
+        return self._readings.drive(self._clocks()[1])
 
     def diagnosis(self) -> Diagnosis:
         """Return what the records say."""
         plan, values, readings = self._plan, self._values, self._readings
         facts = by_name(self._collector.facts())
-        clocks, skews = clock_findings(plan, facts, values)
-        examined = examine(readings.drive(skews), values)
+        clocks = self._clocks()[0]
+        examined = examine(self.drive(), values)
         findings = in_order([
             *plan.findings,
             *self._configured.findings,
@@ -110,6 +122,9 @@ class BagExamination:
             estimates=examined.estimates,
             obstacle=_obstacle(self._bag, self._given, self._names, findings),
         )
+
+    def _clocks(self) -> tuple[list[Finding], dict[str, float]]:
+        return clock_findings(self._plan, by_name(self._collector.facts()), self._values)
 
 
 def configured_values(given: Mapping[str, Any]) -> Configured:
@@ -213,7 +228,7 @@ def _edge_findings(
     plan: InputPlan,
     facts: Mapping[str, TopicFacts],
     values: Mapping[str, Any],
-    readings: DriveCollector,
+    readings: DriveReadings,
 ) -> list[Finding]:
     """Return what the localizer would refuse of messages that are there."""
     found = []

@@ -17,7 +17,6 @@ from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.core.limits import LARGEST_POSITION
 from fnn_ekf_ros.parameters.localizer import LARGEST_DELAY_S
 from fnn_ekf_ros.recordings.bag_facts import TopicFacts
-from fnn_ekf_ros.recordings.bag_files import BagReader, Record
 from fnn_ekf_ros.recordings.input_plan import InputPlan
 
 AHEAD_S = 0.05
@@ -30,20 +29,15 @@ LONGEST_AGE_S = 5.0
 """Largest age of stamps [s]: no sensor computes for so long."""
 
 
-class DriveCollector:
-    """Readings of a drive, record by record.
+class DriveReadings:
+    """Readings of a drive, message by message.
 
     Args:
-        bag: the recording.
-        plan: the topics to read.
         configured: parameters of the localizer, by name.
     """
 
-    def __init__(self, bag: BagReader, plan: InputPlan, configured: Mapping[str, Any]) -> None:
-        self._bag = bag
-        self._topics = {name: topic for topic, name in plan.topics.items()}
+    def __init__(self, configured: Mapping[str, Any]) -> None:
         self._joints = (str(configured["left_joint"]), str(configured["right_joint"]))
-        self._frame = str(configured["frame_id"])
         self._left: list[tuple[float, ...]] = []
         self._right: list[tuple[float, ...]] = []
         self._compass: list[tuple[float, ...]] = []
@@ -52,30 +46,32 @@ class DriveCollector:
         self._renamed: tuple[str, str] | None = None
         self._start_ns: int | None = None
 
-    def add(self, record: Record) -> None:
-        """Take a record in; those of other topics are passed over."""
-        topic = self._topics.get(record.topic)
-        if topic is None:
-            return
-        message = self._bag.message(record)
+    def take(self, topic: str, message: Any, now_ns: int) -> None:
+        """Take a message in.
+
+        Args:
+            topic: of the localizer.
+            message: with attributes.
+            now_ns: ROS time at which it came [ns].
+        """
         if self._start_ns is None:
-            self._start_ns = record.time_ns
+            self._start_ns = now_ns
         if topic == messages.LEFT_TICKS:
-            self._left.append((self._seconds(record.time_ns), float(message.data)))
+            self._left.append((self._seconds(now_ns), float(message.data)))
         elif topic == messages.RIGHT_TICKS:
-            self._right.append((self._seconds(record.time_ns), float(message.data)))
+            self._right.append((self._seconds(now_ns), float(message.data)))
         elif topic == messages.JOINT_STATES:
             self._add_joints(message)
         elif topic == messages.COMPASS:
             yaw = messages.yaw_of(message.orientation)
             if yaw is not None and message.orientation_covariance[0] != -1.0:
                 self._compass.append((self._seconds(messages.stamp_ns(message)), yaw))
-        else:
+        elif topic == messages.LRF_POSE:
             pose = messages.planar_pose(message).tolist()
             if abs(pose[0]) < LARGEST_POSITION and abs(pose[1]) < LARGEST_POSITION:
                 self._fixes.append((self._seconds(messages.stamp_ns(message)), *pose))
 
-    def drive(self, skews: Mapping[str, float]) -> Drive:
+    def drive(self, skews: Mapping[str, float] = {}) -> Drive:
         """Return the readings.
 
         Args:

@@ -1,15 +1,14 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mistakes of robot, wiring or configuration, one at a time: does the running localizer say so."""
+"""Mistakes of robot, wiring or configuration, of robots that are simulated or recorded."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from fnn_ekf_ros.localizer.localizer import Localizer
-from fnn_ekf_ros.membership.files import networks_for
+from fnn_ekf_ros.calibration.findings import Finding
 from fnn_ekf_ros.messages.names import LEFT_TICKS, RIGHT_TICKS
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import Bias, Delay, Fault, UnequalWheels, WrongStamp, WrongUnit
@@ -17,14 +16,9 @@ from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.parameters.matching import matching_localizer
 from fnn_ekf_ros.parameters.paper import SIMULATION_2_STD
 from fnn_ekf_ros.parameters.schema import build
-from fnn_ekf_ros.simulation.listening import listen
-from fnn_ekf_ros.study.fault_naming import START_NS, Report
-from fnn_ekf_ros.timeline.events import Level, Status
 
 SLIPS = {"0.5 cm, 0.3 deg": (0.005, 0.005), "5 cm, 3 deg": SIMULATION_2_STD}
 """Slip of the robots, per 375 ms (m, rad): of good ground, and of the paper's simulation 2."""
-IN_TIME_S = 60.0
-"""Time of driving within which a mistake has to be named [s]."""
 NOTHING = "nothing"
 """Name of the runs without a mistake."""
 C, L = "compass", "lrf_pose"
@@ -45,6 +39,7 @@ class Mistake(NamedTuple):
         given: other parameters of the localizer.
         faults: of the robot's messages.
         swapped: whether left and right ticks are exchanged.
+        findings: names of the findings of `doctor` that are right, where no parameter is.
     """
 
     name: str
@@ -55,6 +50,12 @@ class Mistake(NamedTuple):
     given: Mapping[str, Any] = {}
     faults: tuple[Fault, ...] = ()
     swapped: bool = False
+    findings: tuple[str, ...] = ()
+
+    def is_found(self, finding: Finding) -> bool:
+        """Return whether a finding of `doctor` names the mistake."""
+        changed = {change.parameter for change in finding.changes}
+        return finding.name in self.findings or bool(changed & set(self.parameters))
 
     def topic(self, name: str) -> str:
         """Return the localizer's topic on which messages of one of the robot's arrive."""
@@ -65,6 +66,33 @@ class Mistake(NamedTuple):
         """Return the parameters of the localizer, from those that fit the robot."""
         changed = {name: right[name] * factor for name, factor in self.factors.items()}
         return {**right, **changed, **self.given}
+
+    def effects(self) -> dict[str, tuple[float, float]]:
+        """Return what faults do to right numbers: factor and what is added to the product.
+
+        The number of unequal wheels is the ratio of what they travel per count, the right one's
+        first; those of the others are parameters.
+        """
+        found: dict[str, tuple[float, float]] = {}
+        turns = 1.0
+        for fault in self.faults:
+            if isinstance(fault, UnequalWheels):
+                ratio = fault.factor if fault.wheel == "right" else 1.0 / fault.factor
+                found["right_over_left"] = (ratio, 0.0)
+            elif isinstance(fault, WrongUnit) and fault.topic == L:
+                found["lrf_pose_scale"] = (1.0 / fault.factor, 0.0)
+            elif isinstance(fault, WrongUnit):
+                turns = math.copysign(1.0, fault.factor)
+            elif isinstance(fault, Bias):
+                name = "compass_offset" if fault.topic == C else "lrf_yaw_offset"
+                found[name] = (turns, -turns * fault.size[2])
+            elif isinstance(fault, WrongStamp):
+                found[f"{fault.topic}_delay"] = (1.0, fault.size)
+        return found
+
+    def size(self, number: str) -> float:
+        """Return what the mistake adds to a right number."""
+        return self.effects()[number][1]
 
 
 def _turned(angle: float) -> Bias:
@@ -90,7 +118,8 @@ MISTAKES: tuple[Mistake, ...] = (
             given={"left_inverted": True}),
     Mistake("right_inverted", "the right counter runs backward", ("right_inverted",),
             given={"right_inverted": True}),
-    Mistake("swapped", "left and right ticks are exchanged", (), swapped=True),
+    Mistake("swapped", "left and right ticks are exchanged", (), swapped=True,
+            findings=("wheels_swapped",)),
     Mistake("radius", "wheel_radius is 15 % too large", _SIZES, factors={"wheel_radius": 1.15}),
     Mistake("radius_cm", "wheel_radius in centimeters", _SIZES, factors={"wheel_radius": 100.0}),
     Mistake("separation", "wheel_separation is 30 % too large", ("wheel_separation",),
@@ -107,8 +136,10 @@ MISTAKES: tuple[Mistake, ...] = (
     Mistake("compass_mirrored", "the compass counts clockwise", ("compass_clockwise",), C,
             faults=(WrongUnit(start=0.0, topic=C, factor=-1.0),)),
     Mistake("compass_degrees", "degrees taken for radians", (), C,
+            findings=("compass_degrees", "compass_random"),
             faults=(WrongUnit(start=0.0, topic=C, factor=180.0 / math.pi),)),
     Mistake("compass_radians", "radians taken for degrees", (), C,
+            findings=("compass_degrees",),
             faults=(WrongUnit(start=0.0, topic=C, factor=math.pi / 180.0),)),
     Mistake("compass_offset", "the compass is off by 0.7 rad", ("compass_offset",), C,
             faults=(_turned(0.7),)),
@@ -123,38 +154,6 @@ MISTAKES: tuple[Mistake, ...] = (
             faults=_late(C)),
 )  # fmt: skip
 """Mistakes, with their sizes."""
-
-
-class Told(NamedTuple):
-    """What diagnostics say of a mistake.
-
-    Attributes:
-        mistake: its name, or `NOTHING`.
-        slip: of the robot, a key of `SLIPS`.
-        seed: of the robot.
-        named_s: time of driving from which on it is named, with its parameter, until the end; NaN:
-            it is not [s].
-        value: the parameter and the value to set by the last report.
-        others: sensors that are not OK after that time.
-        wrong: messages of other mistakes, at any time.
-        warned: reports above OK, from when the filter runs.
-        reports: number of all of them.
-    """
-
-    mistake: str
-    slip: str
-    seed: int
-    named_s: float
-    value: str
-    others: tuple[str, ...]
-    wrong: tuple[str, ...]
-    warned: int
-    reports: int
-
-    @property
-    def in_time(self) -> bool:
-        """Whether it was named in time and to the end."""
-        return self.named_s <= IN_TIME_S
 
 
 def configured(
@@ -175,75 +174,3 @@ def configured(
     matching = asdict(matching_localizer(robot or FakeRobotParameters()))
     right = matching | {"process_noise_std": SIMULATION_2_STD} | dict(given)
     return build(LocalizerParameters, right if mistake is None else mistake.configured(right))
-
-
-def follow_mistake(
-    name: str, slip: str, robot: FakeRobotParameters, duration_s: float, given: Mapping[str, Any]
-) -> Told:
-    """Return what diagnostics say of a robot with a mistake, or with none.
-
-    Args:
-        name: of the mistake, or `NOTHING`.
-        slip: of the robot, a key of `SLIPS`.
-        robot: is driven.
-        duration_s: length of the run [s].
-        given: parameters of the localizer that the user chose.
-    """
-    mistake = next((each for each in MISTAKES if each.name == name), None)
-    parameters = configured(given, robot, mistake)
-    reports = list(_reports(mistake, robot, parameters, duration_s))
-    named_s, value, others, wrong = math.nan, "", set[str](), dict[str, None]()
-    for report in reports:
-        right = False
-        for status in report.statuses:
-            if _MISTAKE not in dict(status.values):
-                continue
-            if mistake is not None and _is_named(mistake, status):
-                right, value = True, dict(status.values).get(_FITTING, "")
-            else:
-                wrong[status.message] = None
-        if not right:
-            named_s, others = math.nan, set()
-        elif math.isnan(named_s):
-            named_s = report.time_s
-        if right and mistake is not None:
-            others |= report.named() - {mistake.sensor}
-    warned = sum(report.level > Level.OK for report in reports)
-    return Told(
-        name,
-        slip,
-        robot.seed,
-        named_s,
-        value,
-        tuple(sorted(others)),
-        tuple(wrong),
-        warned,
-        len(reports),
-    )
-
-
-_MISTAKE, _FITTING = "mistake", "parameter that would fit"
-"""Keys of the values of a status that tells a mistake."""
-
-
-def _is_named(mistake: Mistake, status: Status) -> bool:
-    fitting = dict(status.values).get(_FITTING, "")
-    named = {text.split(":")[0] for text in fitting.split("; ")} - {""}
-    expected = set(mistake.parameters)
-    return status.name == mistake.sensor and (bool(named & expected) if expected else not named)
-
-
-def _reports(
-    mistake: Mistake | None,
-    robot: FakeRobotParameters,
-    parameters: LocalizerParameters,
-    duration_s: float,
-) -> Iterator[Report]:
-    """Yield what diagnostics say, from when the filter runs."""
-    localizer = Localizer(parameters, networks_for(parameters))
-    faults = () if mistake is None else mistake.faults
-    for heard in listen(robot, parameters, START_NS, duration_s, faults):
-        topic = heard.topic if mistake is None else mistake.topic(heard.topic)
-        for output in localizer.receive(topic, heard.message, heard.now_ns).outputs:
-            if output.statuses is not None and output.estimate is not None:
-                yield Report((output.stamp_ns - START_NS) * 1e-9, output.statuses)

@@ -11,10 +11,11 @@ import pytest
 from commands import Refuse, Succeed
 
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
-from fnn_ekf_ros.study import mistakes
+from fnn_ekf_ros.study import told_mistakes
 from fnn_ekf_ros.study.fault_naming import Report
 from fnn_ekf_ros.study.mistake_runs import mistake_table, summary
-from fnn_ekf_ros.study.mistakes import MISTAKES, NOTHING, SLIPS, follow_mistake
+from fnn_ekf_ros.study.mistakes import MISTAKES, NOTHING, SLIPS
+from fnn_ekf_ros.study.told_mistakes import follow_mistake
 from fnn_ekf_ros.timeline.events import Level, Status
 
 SLIP = next(iter(SLIPS))
@@ -46,7 +47,7 @@ def test_a_mistake_counts_as_named_from_when_it_stays(
     others: tuple[str, ...],
     wrong: tuple[str, ...],
 ) -> None:
-    monkeypatch.setattr(mistakes, "_reports", lambda *_: iter(reports))
+    monkeypatch.setattr(told_mistakes, "_reports", lambda *_: iter(reports))
     told = follow_mistake("radius", SLIP, FakeRobotParameters(path="square"), 3.0, {})
     assert told.named_s == pytest.approx(named_s, nan_ok=True)
     assert (told.others, told.wrong) == (others, wrong)
@@ -54,7 +55,7 @@ def test_a_mistake_counts_as_named_from_when_it_stays(
 
 
 def test_the_table_has_a_row_for_each_mistake_and_slip(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mistakes, "_reports", lambda *_: iter([report(5, WHEELS, Level.OK)]))
+    monkeypatch.setattr(told_mistakes, "_reports", lambda *_: iter([report(5, WHEELS, Level.OK)]))
     told = [
         follow_mistake(name, slip, FakeRobotParameters(path="square"), 9.0, {})
         for name in ("radius", NOTHING)
@@ -62,8 +63,8 @@ def test_the_table_has_a_row_for_each_mistake_and_slip(monkeypatch: pytest.Monke
     ]
     assert mistake_table(["radius", NOTHING], told).count("\n| radius |") == len(SLIPS)
     assert summary(told) == (
-        "2 of 2 mistakes told in time, 0 runs with another one, without a mistake 2 of 2 runs with "
-        "one told"
+        "2 of 2 mistakes told in time, 0 runs with another one, 0 named by doctor, 0 drives with "
+        "another finding, without a mistake 2 of 2 runs with one told"
     )
 
 
