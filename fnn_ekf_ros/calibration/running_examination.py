@@ -174,7 +174,6 @@ class RunningExamination:
         self._buffers.forget_before(end_s - MARGIN_S - LONGEST_STEP_S)
         if segment is None:
             return
-        yield
         fixes = segment.inside(segment.fixes)
         if len(fixes) and float(np.max(np.ptp(fixes[:, 1:3], axis=0))) < 0.01:
             fixes = fixes[:0]
@@ -216,7 +215,6 @@ class RunningExamination:
 
     def evidence(self, which: slice = slice(None)) -> Parts[Evidence]:
         """Return what some of the blocks say, or all of them."""
-        yield
         compass, random = self._compass.source(which)
         yield
         fix_yaw = self._fix_yaw.source(which)[0]
@@ -230,11 +228,14 @@ class RunningExamination:
         later = self._seen > EACH_BLOCKS and self._seen % JUDGED_BLOCKS
         if blocks < FEWEST_BLOCKS or later:
             return
-        if self.findings and (yield from self._is_over()):
-            self._forget_all_but(RECENT_BLOCKS)
-            return
-        if self.findings and self._seen < self._renewed_at:
-            return
+        if self.findings:
+            yield
+            if (yield from self._is_over()):
+                self._forget_all_but(RECENT_BLOCKS)
+                return
+            if self._seen < self._renewed_at:
+                return
+        yield
         found = yield from self._found(BLOCK_S * blocks)
         if found:
             self.findings, self._renewed_at = found, self._seen + RENEWED_BLOCKS
@@ -242,9 +243,9 @@ class RunningExamination:
     def _found(self, long_s: float) -> Parts[tuple[Finding, ...]]:
         """Return what is wrong by all blocks, if it is so in each half of them."""
         evidence = yield from self.evidence()
-        yield
         if evidence.random_compass:
             for half in self._halves():
+                yield
                 if not (yield from self.evidence(half)).random_compass:
                     return ()
             return (random_compass(),)
@@ -255,10 +256,10 @@ class RunningExamination:
         explanation = explain(evidence, self._meters, self._separation)
         if explanation is None:
             for half in self._halves():
+                yield
                 if compass_unit((yield from self.evidence(half))) != unit:
                     return ()
             return tuple(unit)
-        yield
         context = Context(self._configured, evidence, explanation, self._interval_s)
         found = [each for each in told_findings(context, long_s) if _is_told(each, context)]
         if not found or not (yield from self._lasts(explanation)):
@@ -281,8 +282,8 @@ class RunningExamination:
     def _lasts(self, explanation: Explanation) -> Parts[bool]:
         """Return whether an explanation is better than the configuration in each half."""
         for half in self._halves():
-            evidence = yield from self.evidence(half)
             yield
+            evidence = yield from self.evidence(half)
             if self._fit(evidence, explanation) - self._fit(evidence) < LASTING_GAIN:
                 return False
         return True
@@ -290,7 +291,6 @@ class RunningExamination:
     def _is_over(self) -> Parts[bool]:
         """Return whether the newest blocks contradict the findings."""
         evidence = yield from self.evidence(slice(-RECENT_BLOCKS, None))
-        yield
         if self._explanation is None:
             return not evidence.random_compass and not compass_unit(evidence)
         return self._fit(evidence, self._explanation) - self._fit(evidence) < OVER_GAIN
