@@ -53,8 +53,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     },
     "simulation": {"core", "messages", "parameters", "timeline"},
     "study": {
-        "calibration", "core", "errors", "evaluation", "files", "localizer", "membership",
-        "messages", "parameters", "recordings", "reports", "simulation", "timeline",
+        "calibration", "core", "diagnostics", "errors", "evaluation", "files", "localizer",
+        "membership", "messages", "parameters", "recordings", "reports", "simulation", "timeline",
     },
     "training": {
         "core", "errors", "membership", "parameters", "reports", "study", "timeline",

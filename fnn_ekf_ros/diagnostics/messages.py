@@ -16,6 +16,8 @@ from fnn_ekf_ros.timeline.events import InputCheck, Sensor, Wheel
 
 LAST_REFUSAL = "last refusal"
 """The key of the reason with which the last message of a sensor was refused."""
+MISTAKE = "mistake"
+"""Key of the sentence that says what is wrong since the start."""
 FITTING = "parameter that would fit"
 """The key of a parameter and the value with which a fault would be gone."""
 RECEIVED, REFUSED, LEFT_OUT, DROPPED = "received", "refused", "left out", "dropped"

@@ -11,6 +11,7 @@ from fnn_ekf_ros.calibration.findings import Change, Finding
 from fnn_ekf_ros.calibration.running_examination import RunningExamination
 from fnn_ekf_ros.diagnostics.messages import (
     FITTING,
+    MISTAKE,
     CompassMessage,
     DiagnosticMessage,
     EncoderMessage,
@@ -156,7 +157,7 @@ def with_mistakes(status: Status, findings: Sequence[Finding]) -> Status:
 def _values(findings: Sequence[Finding]) -> Values:
     """Return the numbers behind findings: what shows them, how sure, what puts them right."""
     values: Values = (
-        ("mistake", join(finding.sentence for finding in findings)),
+        (MISTAKE, join(finding.sentence for finding in findings)),
         ("evidence", join(finding.evidence for finding in findings)),
         ("certainty", join(finding.certainty for finding in findings)),
     )

@@ -7,7 +7,6 @@ docs/diagnostics.md says when a status is WARN and when ERROR; a test compares i
 constants here and in the modules of the statuses.
 """
 
-from collections import Counter
 from collections.abc import Iterator
 
 from fnn_ekf_ros.core.adaptation import AdaptationMode
@@ -28,33 +27,24 @@ from fnn_ekf_ros.diagnostics.frozen import FrozenReadings, frozen_sensors
 from fnn_ekf_ros.diagnostics.lasting_words import YawOffset, doubtful_yaw, yaw_offset
 from fnn_ekf_ros.diagnostics.late_stamps import LateStamps, late_stamps
 from fnn_ekf_ros.diagnostics.messages import (
-    LAST_REFUSAL,
-    LEFT_OUT,
-    RECEIVED,
-    REFUSED,
     EncoderMessage,
     FilterMessage,
-    InputMessage,
-    SensorMessage,
     TimeMessage,
-    fill,
     join,
 )
 from fnn_ekf_ros.diagnostics.mistakes import Mistakes, with_mistakes
-from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.diagnostics.recent_periods import (
     RecentPeriods,
     SensorReadings,
     new_move,
     stands,
 )
+from fnn_ekf_ros.diagnostics.reception import Reception
 from fnn_ekf_ros.diagnostics.sensor_status import measuring_status
 from fnn_ekf_ros.diagnostics.time_status import TimeStatus
 from fnn_ekf_ros.diagnostics.wheel_sizes import size_messages, size_values
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
-from fnn_ekf_ros.timeline.epochs import MOST_READINGS_A_SECOND
 from fnn_ekf_ros.timeline.events import (
-    STALE_NS,
     CompassYaw,
     Estimate,
     Event,
@@ -76,21 +66,6 @@ EXPLAINED_NS = 10 * 10**9
 needs some seconds to settle, and the suspects' leads to fade."""
 
 
-class _Heard:
-    """Number of messages of a sensor, and the newest stamp since the clock jumped last [ns]."""
-
-    __slots__ = ("count", "last_ns")
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.last_ns: int | None = None
-
-    def at(self, stamp_ns: int) -> None:
-        self.count += 1
-        if self.last_ns is None or stamp_ns > self.last_ns:
-            self.last_ns = max(stamp_ns, 0)
-
-
 class DiagnosticsReport:
     """Counts the events of inputs and periods, and makes the statuses of them on request.
 
@@ -100,13 +75,7 @@ class DiagnosticsReport:
 
     def __init__(self, parameters: LocalizerParameters) -> None:
         self._parameters = parameters
-        self._heard = {sensor: _Heard() for sensor in Sensor}
-        self._stood_ns = 0
-        self._refused: Counter[Sensor] = Counter()
-        self._last_refusal: dict[Sensor, str] = {}
-        self._left_out: Counter[Sensor] = Counter()
-        self._newly_left_out: Counter[Sensor] = Counter()
-        self._new_refusal: dict[Sensor, str] = {}
+        self._reception = Reception()
         self._encoders = EncoderStatus(parameters)
         self._mistakes = Mistakes(parameters)
         self._time = TimeStatus()
@@ -123,8 +92,7 @@ class DiagnosticsReport:
         """Count an event that was taken in, and what it changed."""
         sensor = _sensor_of(event)
         if change.left_out and sensor is not None:
-            self._left_out[sensor] += change.left_out
-            self._newly_left_out[sensor] += change.left_out
+            self._reception.left_out(sensor, change.left_out)
         if change.changed_ns is None:
             if not change.left_out:
                 self._time.repeated()
@@ -133,20 +101,16 @@ class DiagnosticsReport:
             self._time.out_of_order()
         self._mistakes.took(event, change)
         if isinstance(event, WheelCount):
-            self._heard[Sensor.ENCODERS].at(event.stamp_ns)
+            self._reception.heard(Sensor.ENCODERS, event.stamp_ns)
             self._encoders.saw(event, change)
         elif isinstance(event, PoseReset):
             self._encoders.pose_was_set(event.stamp_ns)
         elif sensor is not None:
-            self._heard[sensor].at(event.stamp_ns)
-            if sensor is Sensor.LRF_POSE:
-                self._stood_ns = 0
+            self._reception.heard(sensor, event.stamp_ns)
 
     def rejected(self, rejected: Rejected) -> None:
         """Count a message that was refused for what it says."""
-        self._refused[rejected.sensor] += 1
-        self._new_refusal[rejected.sensor] = fill(InputMessage.REFUSED, check=rejected.check)
-        self._last_refusal[rejected.sensor] = rejected.reason
+        self._reception.refused(rejected)
 
     def dropped(self, message: TimeMessage, event: Event, now_ns: int) -> None:
         """Count an event that was refused for its stamp.
@@ -185,9 +149,7 @@ class DiagnosticsReport:
         self._time.set_back(from_ns, to_ns)
 
     def _begin_anew(self) -> None:
-        for heard in self._heard.values():
-            heard.last_ns = None
-        self._stood_ns = 0
+        self._reception.begin_anew()
         self._failures = self._failures._replace(end_ns=None)
         self._encoders.restarted()
         self._mistakes = Mistakes(self._parameters)
@@ -218,14 +180,12 @@ class DiagnosticsReport:
         self._mistakes.advance(end_ns)
         period_s = self._parameters.period
         if complete and estimate is not None and stands(estimate.twist * period_s, period_s):
-            self._stood_ns += round(period_s * 1e9)
+            self._reception.stood(round(period_s * 1e9))
 
     def left_out(self, readings: LeftOut) -> None:
         """Count readings of a period that were too many to be used."""
         for sensor, count in zip((Sensor.COMPASS, Sensor.LRF_POSE), readings, strict=True):
-            if count:
-                self._left_out[sensor] += count
-                self._newly_left_out[sensor] += count
+            self._reception.left_out(sensor, count)
 
     def report(
         self,
@@ -245,9 +205,9 @@ class DiagnosticsReport:
             recent: the last periods; None before the filter runs.
         """
         encoders = self._encoders.status(
-            self._sensor(Sensor.ENCODERS, now_ns, expected=True),
+            self._reception.status(Sensor.ENCODERS, now_ns, expected=True),
             now_ns,
-            refused=Sensor.ENCODERS in self._new_refusal,
+            refused=self._reception.is_refused(Sensor.ENCODERS),
         )
         frozen = frozen_sensors(state)
         mistakes = self._mistakes.findings
@@ -284,8 +244,7 @@ class DiagnosticsReport:
             self._time.status(),
         )
         statuses = tuple(with_mistakes(status, mistakes) for status in statuses)
-        self._new_refusal.clear()
-        self._newly_left_out.clear()
+        self._reception.reported()
         self._failures = self._failures._replace(new="")
         return statuses
 
@@ -304,7 +263,7 @@ class DiagnosticsReport:
             (Sensor.COMPASS, readings.compass, not self._parameters.lrf_use_yaw),
             (Sensor.LRF_POSE, readings.lrf_pose, True),
         ):
-            common = self._sensor(sensor, now_ns, expected=expected)
+            common = self._reception.status(sensor, now_ns, expected=expected)
             yield measuring_status(
                 common,
                 frozen.get(sensor),
@@ -331,8 +290,7 @@ class DiagnosticsReport:
         self._explained_by |= dict.fromkeys(faulty, now_ns)
         learning = mode is AdaptationMode.JOINT and now_ns - recent.start_ns < LEARNING_NS
         found = isolate_fault(recent, self._parameters.wheel_separation, learning=learning)
-        unused = {sensor for sensor, heard in self._heard.items() if not heard.count}
-        found = without_unused(found, unused)
+        found = without_unused(found, self._reception.unused())
         doubtful = None if lasting is None else doubtful_yaw(lasting)
         explained = {
             sensor
@@ -346,55 +304,10 @@ class DiagnosticsReport:
         self._explained_by[doubtful] = now_ns  # what it has shown is seen for a while
         return with_doubtful_yaw(found, doubtful, turned=bool(lasting.doubted))
 
-    def _sensor(self, sensor: Sensor, now_ns: int, *, expected: bool) -> Status:
-        """Return what can be said of any sensor."""
-        last_ns = self._heard[sensor].last_ns
-        values = self._counts(sensor)
-        if sensor in self._new_refusal:
-            return Status(
-                name=sensor, level=Level.WARN, message=self._new_refusal[sensor], values=values
-            )
-        if last_ns is None:
-            level = Level.WARN if expected else Level.OK
-            message = InputMessage.NONE_YET if expected else SensorMessage.NOT_USED
-            return Status(name=sensor, level=level, message=message, values=values)
-        age_ns = max(now_ns - last_ns, 0)
-        values = (("age [s]", f"{age_ns * 1e-9:.3f}"), *values)
-        stood_ns = self._stood_ns if sensor is Sensor.LRF_POSE else 0
-        if age_ns > STALE_NS:
-            if age_ns - stood_ns > STALE_NS:
-                return Status(
-                    name=sensor, level=Level.WARN, message=InputMessage.SILENT, values=values
-                )
-            return Status(
-                name=sensor, level=Level.OK, message=SensorMessage.STANDING, values=values
-            )
-        if self._newly_left_out[sensor]:
-            return Status(
-                name=sensor, level=Level.WARN, message=SensorMessage.TOO_FAST, values=values
-            )
-        return Status(name=sensor, level=Level.OK, message=InputMessage.RECEIVED, values=values)
-
-    def _counts(self, sensor: Sensor) -> Values:
-        """Return the values of any sensor but for the age of its last message."""
-        values: Values = (
-            (RECEIVED, str(self._heard[sensor].count)),
-            (REFUSED, str(self._refused[sensor])),
-        )
-        if sensor in self._last_refusal:
-            values += ((LAST_REFUSAL, self._last_refusal[sensor]),)
-        if self._left_out[sensor]:
-            values += (
-                (LEFT_OUT, str(self._left_out[sensor])),
-                ("left out since the last report", str(self._newly_left_out[sensor])),
-                ("largest rate that is used [1/s]", f"{MOST_READINGS_A_SECOND:.0f}"),
-            )
-        return values
-
     def _missing(self, waiting: AwaitingStart) -> tuple[FilterMessage, ...]:
         """Return what a filter that waits waits for."""
         missing = []
-        if self._heard[Sensor.ENCODERS].last_ns is None:
+        if not self._reception.is_heard(Sensor.ENCODERS):
             missing.append(FilterMessage.AWAITS_COUNTS)
         if waiting.given_pose is None:
             if waiting.position is None:

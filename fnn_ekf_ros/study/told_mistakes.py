@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
+from fnn_ekf_ros.diagnostics.messages import FITTING, MISTAKE, fitting_parameters
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
@@ -77,10 +78,10 @@ def follow_mistake(
     for report in reports:
         right = False
         for status in report.statuses:
-            if _MISTAKE not in dict(status.values):
+            if MISTAKE not in dict(status.values):
                 continue
             if mistake is not None and _is_named(mistake, status):
-                right, value = True, dict(status.values).get(_FITTING, "")
+                right, value = True, dict(status.values).get(FITTING, "")
             else:
                 wrong[status.message] = None
         if not right:
@@ -104,13 +105,8 @@ def follow_mistake(
     )
 
 
-_MISTAKE, _FITTING = "mistake", "parameter that would fit"
-"""Keys of the values of a status that tells a mistake."""
-
-
 def _is_named(mistake: Mistake, status: Status) -> bool:
-    fitting = dict(status.values).get(_FITTING, "")
-    named = {text.split(":")[0] for text in fitting.split("; ")} - {""}
+    named = set(fitting_parameters(status.values))
     expected = set(mistake.parameters)
     return status.name == mistake.sensor and (bool(named & expected) if expected else not named)
 
