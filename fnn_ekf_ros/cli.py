@@ -145,8 +145,11 @@ COMMANDS = {
             "real run --out real --params run.yaml",
             "faults --out faults --runs 2 --faults compass_nan,compass_frozen",
             "mistakes --out mistakes --seconds 70 --mistakes radius,compass_ned",
+            "mistakes run --out mistakes",
             "rates --out rates --runs 4 --fixes 100",
             "lasting --out lasting --runs 4 --steps 200 --json -",
+            "tune --out tune --runs 2 --kinds sim1,sim2",
+            "tune run --out tune",
         ),
     ),
 }

@@ -59,7 +59,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "training": {
         "core", "errors", "membership", "parameters", "reports", "study", "timeline",
     },
-    "tuning": {"core", "errors", "parameters", "study", "timeline"},
+    "tuning": {"core", "errors", "parameters", "simulation", "study", "timeline"},
     "commands": {
         "calibration", "core", "diagnostics", "errors", "evaluation", "files", "localizer",
         "membership", "messages", "parameters", "recordings", "reports", "simulation", "stopping",

@@ -3,8 +3,8 @@
 
 """`study NAME`: what every filter makes of many runs; tables, figures, JSON.
 
-`study paper`, `grid` and `dynamic` are here; `real`, `faults`, `mistakes`, `rates` and `lasting`
-have their own modules.
+`study paper`, `grid` and `dynamic` are here; `real`, `faults`, `mistakes`, `rates`, `lasting` and
+`tune` have their own modules.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from fnn_ekf_ros.commands import (
     study_mistakes,
     study_rates,
     study_real,
+    study_tune,
 )
 from fnn_ekf_ros.commands.arguments import (
     Count,
@@ -67,7 +68,7 @@ class OwnModule(NamedTuple):
 
 OWN_MODULES = {
     module.NAME: OwnModule(module.SUMMARY, module.add_arguments, module.run)
-    for module in (study_real, study_faults, study_mistakes, study_rates, study_lasting)
+    for module in (study_real, study_faults, study_mistakes, study_rates, study_lasting, study_tune)
 }
 """The studies with modules of their own, by name."""
 

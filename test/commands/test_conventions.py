@@ -32,6 +32,7 @@ STUDY_SIZES: dict[str, tuple[object, ...]] = {
     "rates": ("--runs", 2, "--fixes", 4, "--jobs", 1),
     "faults": ("--runs", 1, "--quiet-runs", 0, "--faults", "compass_nan", "--jobs", 1),
     "mistakes": ("--runs", 1, "--seconds", 1, "--mistakes", "swapped", "--jobs", 1),
+    "tune": ("--runs", 1, "--seconds", 60, "--kinds", "sim2", "--jobs", 1),
 }
 """Words that make a study of simulated robots small, by its name."""
 PATIENCE_S = 120.0

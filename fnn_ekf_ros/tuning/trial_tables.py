@@ -1,0 +1,79 @@
+# Copyright 2026 The fnn_ekf_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+"""The tables of `study tune`."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fnn_ekf_ros.study.report.tables import table
+from fnn_ekf_ros.tuning.recorded import Recorded
+from fnn_ekf_ros.tuning.trials import KINDS, Found, Trial
+
+HOW_TO_READ = """\
+The search begins with Q twice too large and R twice too small in standard deviation. Error: of the
+value that was found, root mean square and largest over the robots, relative to the true value; in
+rad or s for offsets and delays. Stated: the mean standard error that `tune` gives. Covered: robots
+whose 95 % interval has the true value in it. Right model: robots of which `tune` says rightly
+whether errors last.
+"""
+"""Explains the table of simulated robots."""
+HOW_TO_READ_RECORDINGS = """\
+Position RMSE over the ground truth, relative to the best of 25 fixed EKFs with the shipped gate,
+chosen in hindsight: of a plain EKF with that gate and the noise that `tune` writes, and of the
+fitted filter that follows lasting errors. Second half: what the noise of the first half loses of
+its log likelihood, relative to the optimum of the same model on it.
+"""
+"""Explains the table of recordings."""
+
+
+def trial_table(names: Sequence[str], trials: Sequence[Trial]) -> str:
+    """Return the results of simulated robots in Markdown."""
+    lines = []
+    for name in names:
+        own = [trial for trial in trials if trial.kind == name]
+        right = sum(trial.errors_last == bool(KINDS[name].faults) for trial in own)
+        for quantity in dict.fromkeys(each.quantity for trial in own for each in trial.found):
+            found = [each for trial in own for each in trial.found if each.quantity == quantity]
+            lines.append([name, f"{right} of {len(own)}", quantity, *_cells(found)])
+    return table(
+        ["robots", "right model", "quantity", "error, rms", "largest", "stated", "covered"], lines
+    )
+
+
+def _cells(found: Sequence[Found]) -> list[str]:
+    errors = np.array([each.error for each in found])
+    return [
+        f"{float(np.sqrt(np.mean(errors**2))):.4f}",
+        f"{float(np.max(np.abs(errors))):.4f}",
+        f"{float(np.mean([each.std for each in found])):.4f}",
+        f"{sum(each.covered for each in found)} of {len(found)}",
+    ]
+
+
+def recorded_table(found: Sequence[Recorded]) -> str:
+    """Return the results of recordings in Markdown."""
+    return table(
+        ["recording", "best EKF [m]", "plain EKF", "with lasting errors", "errors last",
+         "decided by", "second half"],
+        [
+            [
+                each.label,
+                f"{each.best_position:.4g}",
+                f"{each.plain:.3f}",
+                f"{each.lasting:.3f}",
+                "yes" if each.errors_last else "no",
+                each.decided_by,
+                f"{each.loss:+.2%}",
+            ]
+            for each in found
+        ],
+    )  # fmt: skip
+
+
+def summary(trials: Sequence[Trial]) -> str:
+    """Return in one line how many intervals cover the true value."""
+    found = [each for trial in trials for each in trial.found]
+    covered = sum(each.covered for each in found)
+    return f"{len(trials)} robots, {covered} of {len(found)} intervals have the true value in them"
