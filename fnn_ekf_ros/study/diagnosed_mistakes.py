@@ -18,10 +18,8 @@ from fnn_ekf_ros.messages.names import COMPASS
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import Bias, UnequalWheels, WrongStamp, WrongUnit
 from fnn_ekf_ros.parameters.matching import matching_localizer
-from fnn_ekf_ros.study.mistakes import Mistake
+from fnn_ekf_ros.study.mistakes import RIGHT_OVER_LEFT, Mistake
 
-RIGHT_OVER_LEFT = "right_over_left"
-"""Number of the ratio of what both wheels travel per count, the right one's first."""
 NUMBERS = {
     "wheel_radius": "meters_per_count",
     "gear_ratio": "meters_per_count",

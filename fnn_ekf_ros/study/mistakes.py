@@ -23,6 +23,8 @@ NOTHING = "nothing"
 """Name of the runs without a mistake."""
 C, L = "compass", "lrf_pose"
 """Topics of the compass and of the fixes."""
+RIGHT_OVER_LEFT = "right_over_left"
+"""Name of the ratio of what both wheels travel per count, the right one's first."""
 LATE_S = 0.5
 """Latency of the sensors that stamp their messages on arrival [s]."""
 
@@ -78,7 +80,7 @@ class Mistake(NamedTuple):
         for fault in self.faults:
             if isinstance(fault, UnequalWheels):
                 ratio = fault.factor if fault.wheel == "right" else 1.0 / fault.factor
-                found["right_over_left"] = (ratio, 0.0)
+                found[RIGHT_OVER_LEFT] = (ratio, 0.0)
             elif isinstance(fault, WrongUnit) and fault.topic == L:
                 found["lrf_pose_scale"] = (1.0 / fault.factor, 0.0)
             elif isinstance(fault, WrongUnit):
