@@ -16,7 +16,8 @@ surprises the witness: the sum of its normalized innovations to one side, each l
 advocate of the compass, a filter that takes the wheels for wrong, follows the compass. While the
 sum is not 0 the fixes' log likelihood ratio of witness to advocate is added up. From 9 on, and
 unless the fixes take its side, the compass was turned: its offset is unknown again, and the other
-filters do without the compass until the witness knows it.
+filters do without the compass until the witness knows it: until its readings have agreed for a
+while. A compass that says anything makes the offset unknown with each reading that disagrees.
 """
 
 import math
@@ -61,6 +62,11 @@ TURNED_AFTER_S = 2.0
 """Time that it takes at least [s]: a magnet that the robot passes does not turn the compass."""
 KNOWN_STD = 0.3
 """Standard deviation of the offset below which it is known again after a surprise [rad]."""
+KNOWN_AFTER_S = 3.0
+"""Time for which readings have to agree with it until it is [s]: random ones do for one or two."""
+DISAGREES_AT = 3.0
+"""Normalized innovation of the witness from which on a reading disagrees with an offset that is not
+known yet: the offset is unknown again, and the reading does not pull the witness's yaw."""
 SWAPPED_AT = 8.0
 """Log likelihood ratio of the fixes for the antipode against the witness from which on they change
 places [nats]: odds of 55 (sequential test, Wald 1945) for a compass that is off by about pi, which
@@ -89,6 +95,7 @@ class CompassOffset(NamedTuple):
         likely_s: `(*batch)` time for which it has been likely [s].
         suspected: `(*batch)` whether the last yaw makes it likely, and it is not believed yet.
         doubted: `(*batch)` whether the compass was turned and its offset is not known yet.
+        agreeing_s: `(*batch)` time for which readings have agreed with the offset meanwhile [s].
         surprise: `(2, *batch)` sums of normalized innovations to the left and to the right.
         surprised_s: `(*batch)` time for which one of them has been more than 0 [s].
         support: `(*batch)` log likelihood ratio of the fixes meanwhile, for the wheels against the
@@ -101,6 +108,7 @@ class CompassOffset(NamedTuple):
     likely_s: FloatArray
     suspected: BoolArray
     doubted: BoolArray
+    agreeing_s: FloatArray
     surprise: FloatArray
     surprised_s: FloatArray
     support: FloatArray
@@ -126,7 +134,7 @@ def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> Compa
     """
     none, no = np.zeros(batch), np.zeros(batch, dtype=np.bool_)
     return CompassOffset(
-        believed=no, likely_s=none, suspected=no, doubted=no,
+        believed=no, likely_s=none, suspected=no, doubted=no, agreeing_s=none,
         surprise=np.zeros((2, *batch)), surprised_s=none, support=none,
         antipode=none if from_readings else np.full(batch, KEPT_AT),
     )  # fmt: skip
@@ -151,18 +159,20 @@ def _log_odds(offset: FloatArray, variance: FloatArray) -> FloatArray:
 
 def suspected_with(
     offset: CompassOffset, bank: Bank, yaw: FloatArray, noise: FloatArray, read: BoolArray
-) -> CompassOffset:
-    """Return the belief with what a yaw would make likely, before it is taken.
+) -> tuple[CompassOffset, Bank]:
+    """Return the belief and the filters before a yaw is taken, with what it would make likely.
+
+    While the offset is not known after a surprise, one that disagrees with it makes it unknown.
 
     Args:
         offset: the belief before it.
-        bank: all filters before it.
+        bank: all filters before it; not changed.
         yaw: `(*batch)` of the compass, or of a fix where there is none [rad].
         noise: `(*batch)` its R [rad^2].
         read: `(*batch)` whether there is a reading.
     """
     if not read.any():
-        return offset
+        return offset, bank
     x, P = bank.mean[:, WITNESS], bank.covariance[:, :, WITNESS]
     HP = P[Component.YAW] + P[Component.YAW_DRIFT] + P[_OFFSET]
     s = HP[Component.YAW] + HP[Component.YAW_DRIFT] + HP[_OFFSET] + noise
@@ -170,7 +180,12 @@ def suspected_with(
     gain = HP[_OFFSET] / s
     D = _log_odds(wrap_angle(x[_OFFSET] + gain * e), P[_OFFSET, _OFFSET] - gain * HP[_OFFSET])
     suspected = (D > LIKELY_AT) & ~offset.believed
-    return offset._replace(suspected=np.where(read, suspected, offset.suspected))
+    offset = offset._replace(suspected=np.where(read, suspected, offset.suspected))
+    disagrees = read & offset.doubted & (e * e > DISAGREES_AT**2 * s)
+    if not disagrees.any():
+        return offset, bank
+    agreeing_s = np.where(disagrees, 0.0, offset.agreeing_s)
+    return offset._replace(agreeing_s=agreeing_s), _with_unknown_offset(bank, disagrees)
 
 
 def later(offset: CompassOffset, duration_s: float) -> CompassOffset:
@@ -264,7 +279,9 @@ def after_compass(
     turned = read & (largest > needed) & (surprised_s >= TURNED_AFTER_S)
     turned &= support >= SUPPORT_NEEDED
     after = offset._replace(
-        surprise=np.where(turned, 0.0, surprise), doubted=offset.doubted | turned
+        surprise=np.where(turned, 0.0, surprise),
+        doubted=offset.doubted | turned,
+        agreeing_s=np.where(turned, 0.0, offset.agreeing_s),
     )
     return after, _with_unknown_offset(bank, turned) if turned.any() else bank
 
@@ -308,7 +325,14 @@ def reconsidered(
     _, variance = offset_of(bank)
     likely_s = np.where(likely, offset.likely_s + duration_s, 0.0)
     believed = np.where(offset.believed, D >= GIVEN_UP_AT, likely_s >= BELIEVED_AFTER_S)
-    decided = offset.doubted & (variance < KNOWN_STD**2) & (believed | (D < GIVEN_UP_AT))
+    agreeing_s = offset.agreeing_s + duration_s
+    known = (variance < KNOWN_STD**2) & (agreeing_s >= KNOWN_AFTER_S)
+    decided = offset.doubted & known & (believed | (D < GIVEN_UP_AT))
     changed = (believed != offset.believed) | decided
-    after = offset._replace(believed=believed, likely_s=likely_s, doubted=offset.doubted & ~decided)
+    after = offset._replace(
+        believed=believed,
+        likely_s=likely_s,
+        doubted=offset.doubted & ~decided,
+        agreeing_s=agreeing_s,
+    )
     return after, changed

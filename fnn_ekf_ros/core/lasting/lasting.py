@@ -263,8 +263,8 @@ def with_compass(state: LastingState, readings: Readings, noise: Noise) -> Lasti
     yaw, yaw_noise, read = (
         np.where(seen, each[Row.COMPASS_YAW], each[Row.LRF_YAW]) for each in (z, R, available)
     )
-    offset = suspected_with(state.offset, state.bank, yaw, yaw_noise, read)
-    return state._replace(compass_seen=seen, offset=offset)
+    offset, bank = suspected_with(state.offset, state.bank, yaw, yaw_noise, read)
+    return state._replace(bank=bank, compass_seen=seen, offset=offset)
 
 
 def compare_with_members(state: LastingState, readings: Readings, noise: Noise) -> Comparison:

@@ -14,9 +14,11 @@ from fnn_ekf_ros.core.lasting.augmented import AUGMENTED_SIZE, Component
 from fnn_ekf_ros.core.lasting.compass_offset import (
     BELIEVED_AFTER_S,
     BELIEVED_AT,
+    DISAGREES_AT,
     FITTING_NIS,
     GIVEN_UP_AT,
     KEPT_AT,
+    KNOWN_AFTER_S,
     KNOWN_STD,
     LARGEST_GAIN,
     LARGEST_SURPRISE,
@@ -332,18 +334,42 @@ def test_reading_to_come_is_suspected_if_it_makes_an_offset_likely() -> None:
     likely = log_odds(corrected) > LIKELY_AT
     assert 0.1 < likely.mean() < 0.9
     start = start_offset((robots,))
-    found = suspected_with(start, bank, z, np.full(robots, R), read)
+    found, kept_bank = suspected_with(start, bank, z, np.full(robots, R), read)
+    assert kept_bank is bank
     np.testing.assert_array_equal(found.suspected, likely)
     np.testing.assert_array_equal(found.unknown, likely)
     # What is believed is not suspected; without a reading nothing changes.
     believed = start._replace(believed=read)
-    assert not suspected_with(believed, bank, z, np.full(robots, R), read).suspected.any()
-    kept = suspected_with(found, bank, z, np.full(robots, R), ~read)
+    assert not suspected_with(believed, bank, z, np.full(robots, R), read)[0].suspected.any()
+    kept, _ = suspected_with(found, bank, z, np.full(robots, R), ~read)
     np.testing.assert_array_equal(kept.suspected, likely)
 
 
+def test_reading_that_disagrees_makes_an_offset_in_doubt_unknown_before_it_is_taken() -> None:
+    """So that a compass without sense does not pull the witness's yaw."""
+    R, read = 0.01, np.ones(3, dtype=np.bool_)
+    bank = witness(0.4, 0.05, 3)
+    h = np.zeros(AUGMENTED_SIZE)
+    h[[Component.YAW, Component.YAW_DRIFT, OFFSET]] = 1.0
+    expected = h @ bank.mean[:, WITNESS]
+    P = np.moveaxis(bank.covariance[:, :, WITNESS], -1, 0)
+    std = np.sqrt(h @ P @ h + R)
+    z = expected + std * [DISAGREES_AT + 0.1, DISAGREES_AT - 0.1, DISAGREES_AT + 0.1]
+    doubted = np.array([True, True, False])
+    before = start_offset((3,))._replace(doubted=doubted, agreeing_s=np.full(3, 2.0))
+    offset, found = suspected_with(before, bank, z, np.full(3, R), read)
+    assert offset.agreeing_s.tolist() == [0.0, 2.0, 2.0]
+    assert found.covariance[OFFSET, OFFSET, WITNESS].tolist() == pytest.approx(
+        [WITNESS_OFFSET_STD**2, 0.05**2, 0.05**2]
+    )
+    np.testing.assert_array_equal(found.mean, bank.mean)
+
+
 def test_doubt_ends_when_the_offset_is_known_and_decided() -> None:
-    doubted = start_offset((1,))._replace(doubted=np.array([True]))
+    new = start_offset((1,))._replace(doubted=np.array([True]))
+    before, _ = considered(new, witness(0.0, 0.5 * KNOWN_STD), KNOWN_AFTER_S - 2.0 * DT)
+    assert before.doubted
+    doubted = new._replace(agreeing_s=np.array([KNOWN_AFTER_S]))
     for std in (1.0, 1.1 * KNOWN_STD):  # not known yet
         offset, changed = reconsidered(doubted, witness(0.0, std), DT)
         assert (bool(offset.doubted), bool(changed)) == (True, False)

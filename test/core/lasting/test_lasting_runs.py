@@ -11,6 +11,7 @@ import pytest
 from drives import TRUE_Q, TRUE_R
 from lasting_drives import Errors, lasting_drive, rms, tracked
 
+from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.lasting.compass_offset import offset_of
 from fnn_ekf_ros.core.lasting.members import WHITE
@@ -147,3 +148,19 @@ def test_compass_that_is_turned_back_is_believed_again(joint: FilterModel) -> No
     assert not last.offset.doubted.any()
     np.testing.assert_allclose(offset_of(last.bank)[0], 0.0, atol=0.1)
     assert np.all(rms(found.error[300:]) < 0.08)
+
+
+def test_compass_that_is_random_for_a_while_leaves_no_false_offset(joint: FilterModel) -> None:
+    """As one whose degrees are taken for radians: nothing of it pulls the witness's yaw."""
+    rng, robots = np.random.default_rng(5), 60
+    drive = lasting_drive(7, robots, 300, Errors())
+    for epoch, _ in drive[100:154]:
+        epoch.measurement[Row.COMPASS_YAW] = rng.uniform(-np.pi, np.pi, robots)
+    found = tracked(joint, drive)
+    doubted = np.array([state.lasting.offset.doubted for state in found.states])  # type: ignore[union-attr]
+    believed = np.array([state.lasting.offset.believed for state in found.states])  # type: ignore[union-attr]
+    assert doubted[100:154].any(axis=0).mean() > 0.9
+    assert not believed.any()
+    assert not doubted[200:].any()
+    assert np.abs(found.error[200:, 2]).max() < 0.5
+    assert np.all(rms(found.error[200:]) < 0.1)
