@@ -213,14 +213,10 @@ class RunningExamination:
         """Numbers of blocks and of readings that are kept."""
         return max(len(self._compass), len(self._fix_yaw)), self._buffers.count
 
-    def evidence(self, which: slice = slice(None)) -> Parts[Evidence]:
+    def evidence(self, which: slice = slice(None)) -> Evidence:
         """Return what some of the blocks say, or all of them."""
         compass, random = self._compass.source(which)
-        yield
-        fix_yaw = self._fix_yaw.source(which)[0]
-        if compass is not None and fix_yaw is not None:
-            compass, fix_yaw = _of_one_slip(compass), _of_one_slip(fix_yaw)
-        return Evidence(compass, fix_yaw, random)
+        return _together(compass, random, self._fix_yaw.source(which)[0])
 
     def _judged(self) -> Parts[None]:
         """Find out what is wrong after a block."""
@@ -230,7 +226,7 @@ class RunningExamination:
             return
         if self.findings:
             yield
-            if (yield from self._is_over()):
+            if self._is_over():
                 self._forget_all_but(RECENT_BLOCKS)
                 return
             if self._seen < self._renewed_at:
@@ -242,11 +238,13 @@ class RunningExamination:
 
     def _found(self, long_s: float) -> Parts[tuple[Finding, ...]]:
         """Return what is wrong by all blocks, if it is so in each half of them."""
-        evidence = yield from self.evidence()
+        compass, random = self._compass.source()
+        yield
+        evidence = _together(compass, random, self._fix_yaw.source()[0])
         if evidence.random_compass:
             for half in self._halves():
                 yield
-                if not (yield from self.evidence(half)).random_compass:
+                if not self.evidence(half).random_compass:
                     return ()
             return (random_compass(),)
         unit = compass_unit(evidence)
@@ -257,7 +255,7 @@ class RunningExamination:
         if explanation is None:
             for half in self._halves():
                 yield
-                if compass_unit((yield from self.evidence(half))) != unit:
+                if compass_unit(self.evidence(half)) != unit:
                     return ()
             return tuple(unit)
         context = Context(self._configured, evidence, explanation, self._interval_s)
@@ -283,14 +281,14 @@ class RunningExamination:
         """Return whether an explanation is better than the configuration in each half."""
         for half in self._halves():
             yield
-            evidence = yield from self.evidence(half)
+            evidence = self.evidence(half)
             if self._fit(evidence, explanation) - self._fit(evidence) < LASTING_GAIN:
                 return False
         return True
 
-    def _is_over(self) -> Parts[bool]:
+    def _is_over(self) -> bool:
         """Return whether the newest blocks contradict the findings."""
-        evidence = yield from self.evidence(slice(-RECENT_BLOCKS, None))
+        evidence = self.evidence(slice(-RECENT_BLOCKS, None))
         if self._explanation is None:
             return not evidence.random_compass and not compass_unit(evidence)
         return self._fit(evidence, self._explanation) - self._fit(evidence) < OVER_GAIN
@@ -322,6 +320,12 @@ def _explained(finding: Finding, context: Context) -> float:
         return 0.0 if evidence.compass is None else evidence.compass.fit.explained
     best = evidence.best
     return 0.0 if best is None or best.displacement is None else best.displacement.explained
+
+
+def _together(compass: YawSource | None, random: bool, fix_yaw: YawSource | None) -> Evidence:
+    if compass is not None and fix_yaw is not None:
+        compass, fix_yaw = _of_one_slip(compass), _of_one_slip(fix_yaw)
+    return Evidence(compass, fix_yaw, random)
 
 
 def _of_one_slip(source: YawSource) -> YawSource:
