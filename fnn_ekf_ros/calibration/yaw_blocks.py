@@ -58,6 +58,8 @@ PROVISIONAL_BLOCKS = 4
 WELL_KNOWN = 6.0
 """Size of what wheels and a sensor have to do with each other, in standard errors, from which on a
 sensor says something: a robot that never turned tells nothing."""
+KNOWN = 4.0
+"""Size of a coefficient, in standard errors, from which on turns are unwrapped by it."""
 STILL = 0.01
 """Range of a sensor's readings below which they are no evidence in a block (rad, m): the robot
 stands, drives straight on, or the sensor is frozen."""
@@ -213,7 +215,7 @@ class YawBlocks:
         lengths = np.abs(sum(block.changes for block in blocks)) / max(close, 1)
         fit = rotation_of_blocks(rotations, float(np.mean([each.delay_s for each in blocks])))
         if which == slice(None):
-            self._known = fit
+            self._known = _shrunk(fit)
             self._ratios[0] = likeliest_ratio(rotations)
         turned = max(block.turned for block in blocks)
         if not _well_known(fit.coefficients[:2], fit.covariance) and close:
@@ -321,7 +323,11 @@ def _well_known(coefficients: FloatArray, covariance: FloatArray) -> bool:
 
 
 def _shrunk(fit: YawFit) -> YawFit:
-    """Return a fit without coefficients that may as well be 0: the robot drove straight on."""
+    """Return a fit without coefficients that may as well be 0.
+
+    A robot that drove straight on tells none, and one that turned at one rate only their sum. What
+    is known wrongly unwraps the next turns wrongly, and then seems to be known well.
+    """
     found = fit.coefficients.copy()
-    found[np.abs(found) < 2.0 * np.sqrt(np.diag(fit.covariance))] = 0.0
+    found[np.abs(found) < KNOWN * np.sqrt(np.diag(fit.covariance))] = 0.0
     return fit._replace(coefficients=found)

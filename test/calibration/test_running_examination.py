@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examined_drives import COUNTS, RADIUS, SEPARATION, drive, parameters
+from examined_drives import COUNTS, RADIUS, SEPARATION, drive, laps, parameters
 
 from fnn_ekf_ros.calibration.block_sums import NODES_S, travel_at
 from fnn_ekf_ros.calibration.drift_regression import Drift, filtered
@@ -216,3 +216,15 @@ def test_numbers_of_no_robot_end_nothing() -> None:
     given = drive(1, LONG_S)
     wild = given._replace(fixes=given.fixes * [1.0, 1e300, 1e300, 1.0])
     assert names(examined(wild)) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_robot_that_turns_at_one_rate_only_and_then_at_the_opposite_one_is_no_mistake(
+    seed: int,
+) -> None:
+    """One rate does not tell the wheels' coefficients apart; a wrong pair fits it as well."""
+    values = parameters()
+    given = laps(seed, (40.0, -40.0), 400.0)
+    examination = RunningExamination(values)
+    for time in feed(examination, given, values):
+        assert not examination.findings, time

@@ -27,6 +27,40 @@ def parameters(**changes: Any) -> dict[str, Any]:
     return asdict(right) | changes
 
 
+def laps(seed: int, lap_s: tuple[float, ...], duration_s: float) -> Drive:
+    """Return the readings of a robot that drives laps of one turn each, at constant rates.
+
+    Args:
+        seed: of slip and noise.
+        lap_s: durations of the laps, which follow each other again and again; to the right if
+            negative [s].
+        duration_s: how long it drives [s].
+    """
+    rng = np.random.default_rng(seed)
+    times = STEP_S * np.arange(1, round(duration_s / STEP_S) + 1)
+    ends = np.cumsum(np.abs(lap_s))
+    which = np.searchsorted(ends, times % ends[-1], side="right") % len(lap_s)
+    turn = 2.0 * math.pi * STEP_S / np.array(lap_s)[which]
+    ahead = np.full(len(times), 0.3 * STEP_S)
+    wheels = np.cumsum([ahead - 0.5 * SEPARATION * turn, ahead + 0.5 * SEPARATION * turn], axis=1)
+    slips = rng.standard_normal((2, len(times))) * [[0.05], [0.05]] * math.sqrt(STEP_S / 0.375)
+    heading = np.cumsum(turn + slips[1])
+    middle = heading - 0.5 * (turn + slips[1])
+    x, y = (np.cumsum((ahead + slips[0]) * f(middle)) for f in (np.cos, np.sin))
+    counts = np.floor(wheels * COUNTS / (2.0 * math.pi * RADIUS))
+    compass = _wrapped(heading + 0.13 * rng.standard_normal(len(times)))
+    noise = [0.1, 0.1, 0.13] * rng.standard_normal((len(times), 3))
+    fixes = np.column_stack([x, y, heading]) + noise
+    fixes[:, 2] = _wrapped(fixes[:, 2])
+    some = slice(None, None, 7)
+    return Drive(
+        _table(times, counts[0]),
+        _table(times, counts[1]),
+        _table(times[some], compass[some]),
+        np.column_stack([times[some], fixes[some]]),
+    )
+
+
 def drive(
     seed: int,
     duration_s: float = 60.0,
