@@ -20,7 +20,7 @@ from fnn_ekf_ros.calibration.explanation import Explanation, explain
 from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, in_order
 from fnn_ekf_ros.calibration.geometry_findings import Context, compass_unit, geometry_findings
 from fnn_ekf_ros.calibration.robot import Number
-from fnn_ekf_ros.calibration.travel import wheel_travel
+from fnn_ekf_ros.calibration.travel import WheelTravel, wheel_travel
 from fnn_ekf_ros.core.arrays import FloatArray
 
 FEWEST_COUNTS = 10.0
@@ -31,6 +31,12 @@ LEAST_ROTATION = 0.5
 """Range of directions below which the robot never turned [rad]."""
 NEED_TURNS = ("wheel_separation", "wheel_ratio", "wheels_swapped", "compass_clockwise")
 """Findings that only a robot that turns can give."""
+ONE_RATE_S = 1.0
+"""Time over which travel of the wheels is compared with each other [s]."""
+ONE_RATE = 0.03
+"""Part of one wheel's travel that does not follow from the other's, root mean square, below which
+the robot turned at one rate only: what wheels and sensors have to do with each other then has one
+equation for two numbers, and anything fits it."""
 SETTLED_S = 45.0
 """Length of a drive from which on small differences count [s]: their errors come from blocks of
 15 s (`drift_regression`), and fewer than three of these tell nothing about errors."""
@@ -137,6 +143,8 @@ def _compared(
         findings = [*findings, random_compass()]
     elif evidence.compass is None and evidence.fix_yaw is None and not findings:
         findings = [_no_yaw()]
+    if _rotation(evidence) >= LEAST_ROTATION and _at_one_rate(readings.travel):
+        return Examined(in_order([*findings, _one_rate()]), evidence)
     if explanation is None:
         return Examined(in_order([*findings, *compass_unit(evidence)]), evidence)
     interval_s = float(np.median(np.diff(readings.travel.times)))
@@ -148,9 +156,7 @@ def _compared(
 
 def told_findings(context: Context, long_s: float) -> list[Finding]:
     """Return the findings that a drive of some length [s] can tell, by how far the robot turned."""
-    evidence = context.evidence
-    sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
-    rotation = max((each.turned for each in sources), default=math.inf)
+    rotation = _rotation(context.evidence)
     found = geometry_findings(context)
     if long_s < SETTLED_S:
         found = [_as_of_a_short_drive(finding, context.configured) for finding in found]
@@ -158,6 +164,21 @@ def told_findings(context: Context, long_s: float) -> list[Finding]:
         found = [finding for finding in found if finding.name not in NEED_TURNS]
         found.append(_straight(rotation))
     return found
+
+
+def _rotation(evidence: Evidence) -> float:
+    """Return the range of directions that the sensors show; infinite if they show none [rad]."""
+    sources = [each for each in (evidence.compass, evidence.fix_yaw) if each is not None]
+    return max((each.turned for each in sources), default=math.inf)
+
+
+def _at_one_rate(travel: WheelTravel) -> bool:
+    """Return whether the travel of the wheels is in one ratio all the time."""
+    times = np.arange(travel.times[0], travel.times[-1], ONE_RATE_S)
+    steps = np.diff(travel.at(times), axis=0)
+    sizes = np.sqrt(np.mean(steps**2, axis=0))
+    alike = np.linalg.eigvalsh(steps.T @ steps / np.outer(sizes, sizes) / max(len(steps), 1))
+    return len(steps) > 1 and bool(math.sqrt(max(float(alike[0]), 0.0)) < ONE_RATE)
 
 
 def _as_of_a_short_drive(finding: Finding, configured: Mapping[str, Any]) -> Finding:
@@ -294,6 +315,16 @@ def _straight(rotation: float) -> Finding:
         "never_turning",
         "the robot hardly turned: wheel_separation and the sides cannot be told from this bag",
         f"its direction changed by {rotation:.2g} rad in all",
+        Certainty.CERTAIN,
+    )
+
+
+def _one_rate() -> Finding:
+    return Finding(
+        "one_rate",
+        "the robot turned at one rate all the time, so nothing can be told of wheels and sensors: "
+        "record a drive with turns to both sides",
+        "the travel of the wheels is in one ratio",
         Certainty.CERTAIN,
     )
 

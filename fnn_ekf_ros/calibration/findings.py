@@ -87,6 +87,7 @@ KINDS = {
     "late_messages": "Messages arrive so late that the localizer drops them.",
     "standing": "The robot stood still, so nothing can be said of wheels and sensors.",
     "never_turning": "The robot never turned, so separation and sides cannot be told.",
+    "one_rate": "The robot turned at one rate only, so nothing can be told of wheels and sensors.",
     "too_short": "There are too few readings to compare wheels and sensors.",
     "frozen_sensor": "A sensor never changes although the wheels move the robot.",
     "stuck_wheel": "A wheel's counter never changes although the other one's does.",
@@ -110,7 +111,7 @@ KINDS = {
     "fix_delay": "The fixes are stamped later or earlier than they were measured.",
 }
 """What can be found, by name, in the order in which it is reported."""
-UNTOLD = ("standing", "never_turning", "too_short")
+UNTOLD = ("standing", "never_turning", "one_rate", "too_short")
 """Findings that say what a drive cannot tell: nothing is wrong with the robot."""
 
 

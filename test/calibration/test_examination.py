@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from examined_drives import COUNTS, RADIUS, SEPARATION, drive, parameters
+from examined_drives import COUNTS, RADIUS, SEPARATION, drive, laps, parameters
 
 from fnn_ekf_ros.calibration.examination import Drive, Examined, examine
 from fnn_ekf_ros.calibration.findings import Certainty, Change, Finding
@@ -208,6 +208,15 @@ def test_a_counter_that_never_changes_is_named() -> None:
     given = drive(1, 30.0)
     (finding,) = examine(given._replace(left=given.left * [1.0, 0.0]), parameters()).findings
     assert (finding.name, "left" in finding.sentence) == ("stuck_wheel", True)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_turns_at_one_rate_only_gets_no_other_finding(seed: int) -> None:
+    """It drives circles; one turn to the other side is enough to tell the rest."""
+    circles = examine(laps(seed, (40.0,), 200.0), parameters())
+    assert [finding.name for finding in serious(circles)] == ["one_rate"]
+    both = examine(laps(seed, (40.0, -40.0), 200.0), parameters())
+    assert serious(both) == []
 
 
 def test_a_robot_that_never_turns_is_said_to_never_turn() -> None:

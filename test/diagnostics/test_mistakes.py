@@ -38,8 +38,8 @@ from fnn_ekf_ros.timeline.wheels import BufferChange
 START_NS = 3 * 10**9
 OF_BAGS = {
     "not_set", "missing_topic", "wrong_type", "joint_names", "frame", "no_yaw", "clock_skew",
-    "late_messages", "standing", "never_turning", "too_short", "frozen_sensor", "stuck_wheel",
-    "encoder_bits", "counter_resets",
+    "late_messages", "standing", "never_turning", "one_rate", "too_short",
+    "frozen_sensor", "stuck_wheel", "encoder_bits", "counter_resets",
 }  # fmt: skip
 """Findings of bags, or that other parts of diagnostics tell."""
 SLOW_COUNTS = Finding(
