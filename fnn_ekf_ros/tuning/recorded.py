@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
         lasting: of the fitted filter that follows lasting errors.
         errors_last: whether errors are said to last.
         decided_by: what the fit that is shown goes by.
-        loss: of the second half's likelihood by the first half's noise, relative to its optimum.
+        loss: of the second half's objective by the first half's noise, relative to its optimum.
     """
 
     label: str

@@ -23,7 +23,7 @@ HOW_TO_READ_RECORDINGS = """\
 Position RMSE over the ground truth, relative to the best of 25 fixed EKFs with the shipped gate,
 chosen in hindsight: of a plain EKF with that gate and the noise that `tune` writes, and of the
 fitted filter that follows lasting errors. Second half: what the noise of the first half loses of
-its log likelihood, relative to the optimum of the same model on it.
+the objective of the fit, relative to the optimum of the same model on it.
 """
 """Explains the table of recordings."""
 

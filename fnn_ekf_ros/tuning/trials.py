@@ -17,7 +17,7 @@ from fnn_ekf_ros.parameters.paper import SIMULATION_1_STD, SIMULATION_2_STD
 from fnn_ekf_ros.simulation.listening import listen
 from fnn_ekf_ros.study.real import batch_start, recording_localizer
 from fnn_ekf_ros.study.starts import RIGHT
-from fnn_ekf_ros.tuning.fit import FULL, Progress
+from fnn_ekf_ros.tuning.fit import Fit, Progress
 from fnn_ekf_ros.tuning.forecasts import poses
 from fnn_ekf_ros.tuning.objective import term_values
 from fnn_ekf_ros.tuning.quantities import Quantity, coordinates, is_logarithm, scale_of
@@ -206,18 +206,19 @@ def _part(recording: TuningRecording, part: slice) -> TuningRecording:
 
 
 def loss_of_second_half(recording: TuningRecording, progress: Progress) -> float:
-    """Return what the first half's noise loses of the second half's likelihood, per reading.
+    """Return what the first half's noise loses of the second half's objective.
 
-    Relative to the size of the second half's own optimum of the same model.
+    Relative to the size of the objective at the second half's own optimum of the same model, with
+    the weights that its fit goes by.
     """
     first, second = halves(recording)
     tuned = tune([first], calibrates=False, progress=progress)
     own = tune([second], calibrates=False, progress=progress)
-    models = [_same_model(each, lasting=tuned.errors_last) for each in (tuned, own)]
-    weights = FULL.each()
-    values = weights @ term_values([second], np.stack(models, axis=1))
+    of_first, of_second = (_same_fit(each, lasting=tuned.errors_last) for each in (tuned, own))
+    terms = term_values([second], np.stack([of_first.values, of_second.values], axis=1))
+    values = of_second.weights.each() @ terms
     return float((values[1] - values[0]) / abs(values[1]))
 
 
-def _same_model(tuned: Tuned, *, lasting: bool) -> FloatArray:
-    return (tuned.lasting if lasting else tuned.white).fit.values
+def _same_fit(tuned: Tuned, *, lasting: bool) -> Fit:
+    return (tuned.lasting if lasting else tuned.white).fit
