@@ -4,6 +4,7 @@
 """`study tune`: how near `tune` comes, for simulated robots and for recordings with a truth."""
 
 import argparse
+import math
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -147,6 +148,11 @@ def _recorded(bag: Path, arguments: argparse.Namespace) -> Recorded:
 
 
 def _plain(row: Recorded | Trial) -> dict[str, Any]:
-    if isinstance(row, Trial):
-        return {**row._asdict(), "found": [each._asdict() for each in row.found]}
-    return row._asdict()
+    """Return a row for JSON, which knows no infinite standard error."""
+    if isinstance(row, Recorded):
+        return row._asdict()
+    found = [
+        {**each._asdict(), "std": each.std if math.isfinite(each.std) else None}
+        for each in row.found
+    ]
+    return {**row._asdict(), "found": found}

@@ -3,6 +3,7 @@
 
 """The tables of `study tune`."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,7 +15,7 @@ from fnn_ekf_ros.tuning.trials import KINDS, Found, Trial
 HOW_TO_READ = """\
 The search begins with Q twice too large and R twice too small in standard deviation. Error: of the
 value that was found, root mean square and largest over the robots, relative to the true value; in
-rad or s for offsets and delays. Stated: the mean standard error that `tune` gives. Covered: robots
+rad or s for offsets and delays. Stated: the mean standard error that `tune` gives, but for values at a bound. Covered: robots
 whose 95 % interval has the true value in it. Right model: robots of which `tune` says rightly
 whether errors last.
 """
@@ -44,10 +45,11 @@ def trial_table(names: Sequence[str], trials: Sequence[Trial]) -> str:
 
 def _cells(found: Sequence[Found]) -> list[str]:
     errors = np.array([each.error for each in found])
+    stds = [each.std for each in found if math.isfinite(each.std)]
     return [
         f"{float(np.sqrt(np.mean(errors**2))):.4f}",
         f"{float(np.max(np.abs(errors))):.4f}",
-        f"{float(np.mean([each.std for each in found])):.4f}",
+        f"{float(np.mean(stds)):.4f}" if stds else "-",
         f"{sum(each.covered for each in found)} of {len(found)}",
     ]
 

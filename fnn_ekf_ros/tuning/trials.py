@@ -82,7 +82,7 @@ class Found(NamedTuple):
     Attributes:
         quantity: its name, in lower case.
         error: of the value: relative to the true one, or a difference where it is no factor.
-        std: standard error that is stated, of its logarithm or of the value.
+        std: standard error that is stated, of its logarithm or of the value; infinite at a bound.
         covered: whether the 95 % interval has the true value in it.
     """
 

@@ -5,12 +5,14 @@
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import Refuse, Succeed
 
+from fnn_ekf_ros.commands import study_tune
 from fnn_ekf_ros.tuning import recorded, trials
 from fnn_ekf_ros.tuning.fit import FULL
 from fnn_ekf_ros.tuning.objective import term_values
@@ -83,6 +85,10 @@ def test_tables_count_what_is_covered() -> None:
         ["sim2"], told
     )
     assert summary(told) == "2 robots, 1 of 2 intervals have the true value in them"
+    told.append(Trial("sim2", 3, False, (Found("position", 0.0, math.inf, True),)))
+    assert "| 0.4000 | 0.2000 | 2 of 3 |" in trial_table(["sim2"], told)
+    written = json.dumps([study_tune._plain(trial) for trial in told], allow_nan=False)
+    assert json.loads(written)[2]["found"][0]["std"] is None
 
 
 def test_the_command_takes_robots_and_recordings(
