@@ -15,9 +15,9 @@ from fnn_ekf_ros.tuning.trials import KINDS, Found, Trial
 HOW_TO_READ = """\
 The search begins with Q twice too large and R twice too small in standard deviation. Error: of the
 value that was found, root mean square and largest over the robots, relative to the true value; in
-rad or s for offsets and delays. Stated: the mean standard error that `tune` gives, but for values at a bound. Covered: robots
-whose 95 % interval has the true value in it. Right model: robots of which `tune` says rightly
-whether errors last.
+rad or s for offsets and delays. Stated: the mean standard error that `tune` gives, but for values
+at a bound. Covered: robots whose 95 % interval has the true value in it. Right model: robots of
+which `tune` says rightly whether errors last.
 """
 """Explains the table of simulated robots."""
 HOW_TO_READ_RECORDINGS = """\
