@@ -45,6 +45,7 @@ SHORTER = {
     "simulate run -p faults_file:=config/": "--duration 20",
     "simulate run --duration 60": "--duration 10",
     "study faults": "--runs 1 --quiet-runs 0 --faults compass_nan --jobs 1",
+    "study mistakes": "--runs 1 --seconds 3 --mistakes swapped --jobs 1",
     "study rates": "--runs 2 --fixes 4 --jobs 1",
     "study lasting": "--runs 2 --steps 10 --jobs 1",
 }
