@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 from fnn_ekf_ros.core.chi_square import exceeded_with
 from fnn_ekf_ros.core.suspects import SUSPECTS
-from fnn_ekf_ros.diagnostics.messages import PARTS
 from fnn_ekf_ros.diagnostics.recent_periods import LASTING, READINGS, Readings, RecentPeriods
 from fnn_ekf_ros.diagnostics.wheel_sizes import WheelSizes, estimate_sizes
 from fnn_ekf_ros.timeline.events import Sensor
@@ -88,20 +87,12 @@ class FaultIsolation(NamedTuple):
         suspects: all that may be the cause, in the order of `Sensor`; none if all fit.
         leads: of `SUSPECTS` [nats].
         sizes: of the wheels, if these are the cause.
-        unused: sensors of which there is no reading.
     """
 
     named: Sensor | None
     suspects: tuple[Sensor, ...]
     leads: tuple[float, ...]
     sizes: WheelSizes | None = None
-    unused: frozenset[Sensor] = frozenset()
-
-    def others(self, sensor: Sensor) -> str:
-        """Return the sensors that one disagrees with, in words."""
-        return " and ".join(
-            name for each, name in PARTS.items() if each is not sensor and each not in self.unused
-        )
 
 
 NO_FAULT = FaultIsolation(named=None, suspects=(), leads=(0.0,) * len(SUSPECTS))
@@ -192,7 +183,6 @@ def with_doubtful_yaw(found: FaultIsolation, sensor: Sensor, *, turned: bool) ->
 
 def without_unused(found: FaultIsolation, unused: set[Sensor]) -> FaultIsolation:
     """Return the result without sensors of which there is no reading: they cannot be the cause."""
-    found = found._replace(unused=frozenset(unused))
     suspects = tuple(sensor for sensor in found.suspects if sensor not in unused)
     if suspects == found.suspects:
         return found

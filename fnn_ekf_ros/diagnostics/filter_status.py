@@ -18,6 +18,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import FaultIsolation
 from fnn_ekf_ros.diagnostics.lasting_words import lasting_in_words
 from fnn_ekf_ros.diagnostics.messages import (
     MEASUREMENT_NOISES,
+    OTHERS,
     PROCESS_NOISES,
     FilterMessage,
     fill,
@@ -204,11 +205,10 @@ def _uncorrected(
 
 def _isolation_messages(found: FaultIsolation) -> list[str]:
     named = found.named
+    if named is Sensor.ENCODERS:
+        return [FilterMessage.WHEELS_DISAGREE]
     if named is not None:
-        others = found.others(named)
-        if named is Sensor.ENCODERS:
-            return [fill(FilterMessage.WHEELS_DISAGREE, measuring_sensors=others)]
-        return [fill(FilterMessage.SENSOR_DISAGREES, measuring_sensor=named, others=others)]
+        return [fill(FilterMessage.SENSOR_DISAGREES, measuring_sensor=named, others=OTHERS[named])]
     if found.suspects:
         return [fill(FilterMessage.CONTRADICTION, sensors=" or ".join(found.suspects))]
     return []

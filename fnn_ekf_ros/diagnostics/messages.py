@@ -25,12 +25,12 @@ RECEIVED, REFUSED, LEFT_OUT, DROPPED = "received", "refused", "left out", "dropp
 SEPARATOR = "; "
 """Between the messages of a status that has several; no message contains it."""
 
-PARTS = {
-    Sensor.ENCODERS: "the wheels",
-    Sensor.COMPASS: "the compass",
-    Sensor.LRF_POSE: "the fixes",
+OTHERS = {
+    Sensor.ENCODERS: "the compass and the fixes",
+    Sensor.COMPASS: "the wheels and the fixes",
+    Sensor.LRF_POSE: "the wheels and the compass",
 }
-"""What messages call the sensors that another one disagrees with."""
+"""The sensors that a sensor disagrees with."""
 PROCESS_NOISES = ("distance", "rotation")
 """Components of Q, as the status `filter` calls them."""
 MEASUREMENT_NOISES = ("fixes' x", "fixes' y", "compass", "fixes' yaw")
@@ -40,8 +40,7 @@ NAMES = {
     "wheel": tuple(wheel.name.lower() for wheel in Wheel),
     "sensor": tuple(Sensor),
     "measuring sensor": (Sensor.COMPASS, Sensor.LRF_POSE),
-    "others": ("the wheels and the fixes", "the wheels and the compass", "the wheels"),
-    "measuring sensors": ("the compass and the fixes", "the compass", "the fixes"),
+    "others": (OTHERS[Sensor.COMPASS], OTHERS[Sensor.LRF_POSE]),
     "sensors": (
         *(" or ".join(pair) for pair in itertools.combinations(Sensor, 2)),
         " or ".join(Sensor),
@@ -76,12 +75,12 @@ class EncoderMessage(StrEnum):
         "<wheel> wheel jumped after a silence: taken for a restart or a glitch, not for motion"
     )
     TIMEOUT = "periods closed without both wheels"
-    DISAGREE = "disagree with <measuring sensors>: wheel slip or an encoder fault"
+    DISAGREE = "disagree with the compass and the fixes: wheel slip or an encoder fault"
     WHEEL_SMALLER = (
-        "disagree with <measuring sensors>: the <wheel> wheel travels less than it counts"
+        "disagree with the compass and the fixes: the <wheel> wheel travels less than it counts"
     )
     WHEEL_LARGER = (
-        "disagree with <measuring sensors>: the <wheel> wheel travels more than it counts"
+        "disagree with the compass and the fixes: the <wheel> wheel travels more than it counts"
     )
     WRONG_SIZE = (
         "the wheels travel more or less than they count: set wheel_radius, gear_ratio or "
@@ -152,7 +151,7 @@ class FilterMessage(StrEnum):
     RESTARTED = "a period failed: the filter starts anew"
     MOVED = "the robot was carried, or the fixes jumped: pose moved to where the fixes agree"
     MISTAKE = "a mistake of robot, wiring or configuration: see <sensor>"
-    WHEELS_DISAGREE = "encoders disagree with <measuring sensors>"
+    WHEELS_DISAGREE = "encoders disagree with the compass and the fixes"
     SENSOR_DISAGREES = "<measuring sensor> disagrees with <others>"
     CONTRADICTION = "measurements contradict each other: <sensors> is wrong"
     DEGRADED_POSITION = "degraded: no fix accepted while driving"

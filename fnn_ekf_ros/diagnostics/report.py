@@ -30,7 +30,6 @@ from fnn_ekf_ros.diagnostics.messages import (
     EncoderMessage,
     FilterMessage,
     TimeMessage,
-    fill,
     join,
 )
 from fnn_ekf_ros.diagnostics.mistakes import Mistakes, with_mistakes
@@ -322,13 +321,11 @@ def _with_isolation(encoders: Status, found: FaultIsolation) -> Status:
     """Return the encoders' status, WARN if they are what does not fit."""
     if encoders.level is not Level.OK or found.named is not Sensor.ENCODERS:
         return encoders
-    others = found.others(Sensor.ENCODERS)
     if found.sizes is None:
-        message = fill(EncoderMessage.DISAGREE, measuring_sensors=others)
-        return encoders._replace(level=Level.WARN, message=message)
+        return encoders._replace(level=Level.WARN, message=EncoderMessage.DISAGREE)
     return encoders._replace(
         level=Level.WARN,
-        message=join(size_messages(found.sizes, others)),
+        message=join(size_messages(found.sizes)),
         values=(*encoders.values, *size_values(found.sizes)),
     )
 

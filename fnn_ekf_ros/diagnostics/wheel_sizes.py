@@ -185,18 +185,11 @@ def estimate_sizes(
     )
 
 
-def size_messages(sizes: WheelSizes, others: str) -> list[str]:
-    """Return what diagnostics say of wheels of wrong sizes.
-
-    Args:
-        sizes: of the wheels.
-        others: the sensors that they disagree with, in words.
-    """
+def size_messages(sizes: WheelSizes) -> list[str]:
+    """Return what diagnostics say of wheels of wrong sizes."""
     return [
         fill(
-            EncoderMessage.WHEEL_SMALLER if part > 0.0 else EncoderMessage.WHEEL_LARGER,
-            wheel=name,
-            measuring_sensors=others,
+            EncoderMessage.WHEEL_SMALLER if part > 0.0 else EncoderMessage.WHEEL_LARGER, wheel=name
         )
         for name, part in (("left", sizes.left), ("right", sizes.right))
         if abs(part) >= SMALLEST_PART

@@ -54,7 +54,7 @@ def test_no_message_has_a_number_or_the_separator_in_it() -> None:
             assert not re.search(r"\d", text), text
             assert SEPARATOR not in text
             assert "<" not in text
-    assert sum(map(len, POSSIBLE.values())) < 200
+    assert sum(map(len, POSSIBLE.values())) < 150
 
 
 def test_messages_are_filled_and_joined() -> None:

@@ -136,8 +136,10 @@ def test_wheels_are_named_unless_another_sensor_is_suspected() -> None:
     found = isolate_fault(seen, SEPARATION)
     assert found.named is Sensor.ENCODERS
     assert found.sizes is not None
-    (message,) = size_messages(found.sizes, "the fixes")
-    assert message == "disagree with the fixes: the left wheel travels less than it counts"
+    (message,) = size_messages(found.sizes)
+    assert message == (
+        "disagree with the compass and the fixes: the left wheel travels less than it counts"
+    )
     for leads in ((0.0, CLEARED_LEAD, 0.0), (0.0, 0.0, CLEARED_LEAD)):
         suspected = seen._replace(leads=(Leads(0, leads),))
         assert isolate_fault(suspected, SEPARATION).named is None
@@ -145,7 +147,7 @@ def test_wheels_are_named_unless_another_sensor_is_suspected() -> None:
 
 def test_sizes_are_told_in_parts_of_the_distance() -> None:
     sizes = WheelSizes(0.2, -0.1, 9.0, 9.0, 9.0)
-    assert size_messages(sizes, "the compass and the fixes") == [
+    assert size_messages(sizes) == [
         "disagree with the compass and the fixes: the left wheel travels less than it counts",
         "disagree with the compass and the fixes: the right wheel travels more than it counts",
     ]
