@@ -129,9 +129,9 @@ def evidence_of(readings: Readings, expected: FloatArray) -> Evidence:
         fit, track = fit_yaw(travel, with_yaw[:, 0], with_yaw[:, 3])
         if not _is_random(travel, with_yaw[:, [0, 3]], fit.coefficients[:2]):
             fix_yaw, reference = _source(travel, fit, track, fixes), fit.coefficients[:2]
-    compass = averaged(readings.compass[travel.covers(readings.compass[:, 0])])[:MOST_READINGS]
+    compass = readings.compass[travel.covers(readings.compass[:, 0])]
     source, random_compass = None, False
-    if _varies(compass[:, 1]):
+    if _varies(averaged(compass)[:, 1]):
         source = _compass_source(travel, compass, fixes, reference)
         random_compass = source is None
     return Evidence(compass=source, fix_yaw=fix_yaw, random_compass=random_compass)
@@ -145,12 +145,13 @@ def _compass_source(
     Radians that are taken for degrees are all near 0. A yaw in degrees turns so fast that close
     readings do not tell by how much; the fit then begins with what it would be.
     """
-    times, yaw = compass.T
-    if np.ptp(yaw) < NARROW_YAW and _turns(travel, reference) > 1.0:
-        fit, track = fit_yaw(travel, times, wrap_angle(DEGREES * yaw))
-        scaled = np.column_stack([times, DEGREES * yaw])
+    if np.ptp(compass[:, 1]) < NARROW_YAW and _turns(travel, reference) > 1.0:
+        scaled = averaged(compass * [1.0, DEGREES])[:MOST_READINGS]
+        fit, track = fit_yaw(travel, scaled[:, 0], wrap_angle(scaled[:, 1]))
         if not _is_random(travel, scaled, fit.coefficients[:2]) and agrees(fit, reference, 1.0):
             return YawSource(fit, _turned(travel, track), factor=1.0 / DEGREES)
+    compass = averaged(compass)[:MOST_READINGS]
+    times, yaw = compass.T
     for factor in (1.0, DEGREES, -DEGREES):
         start = None if factor == 1.0 else factor * reference
         fit, track = fit_yaw(travel, times, yaw, start)

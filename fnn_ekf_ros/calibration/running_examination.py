@@ -4,7 +4,7 @@
 """The examination of a robot while it drives: readings in, findings as long as they hold."""
 
 import math
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,7 +20,14 @@ from fnn_ekf_ros.calibration.examination import (
     random_compass,
     told_findings,
 )
-from fnn_ekf_ros.calibration.explanation import CHEAPEST, Explanation, explain, fit_of
+from fnn_ekf_ros.calibration.explanation import (
+    AS_CONFIGURED,
+    CHEAPEST,
+    Explanation,
+    Hypothesis,
+    explain,
+    fit_of,
+)
 from fnn_ekf_ros.calibration.findings import (
     CERTAIN_ODDS,
     NUMBER_ODDS,
@@ -65,6 +72,8 @@ LEAST_TOLD_DELAY_S = LEAST_DELAY_S + 0.15
 seems to be late by up to 0.15 s."""
 LARGEST_TOLD_DELAY_S = 1.0
 """Largest delay that is told [s]: errors that last lead to the ends of what is looked for."""
+OF_FIX_YAW = ("fix_yaw_offset", "fix_yaw_clockwise")
+"""Findings about the yaw of the fixes."""
 LONGEST_SILENCE_S = 10.0 * BLOCK_S
 """Time without a look at the clock after which blocks begin anew [s]."""
 
@@ -116,13 +125,17 @@ class RunningExamination:
         self._meters = meters_per_count(configured)
         self._separation = float(configured["wheel_separation"])
         expected = np.array([0.0, 2.0 * self._meters / self._separation])
+        self._nothing: Sequence[Hypothesis] = ((AS_CONFIGURED, ()),)
+        if not configured["lrf_use_yaw"]:
+            unused = ("fix_yaw_offset",)
+            self._nothing = tuple((AS_CONFIGURED._replace(fix_yaw=s), unused) for s in (1, -1))
         self._still = FEWEST_COUNTS if configured["encoder_source"] == "ticks" else STILL_RAD
         self._buffers = Buffers()
         self._compass, self._fix_yaw = YawBlocks(expected), YawBlocks(expected)
         self._begin_s: float | None = None
         self._interval_s = math.nan
         self._explanation: Explanation | None = None
-        self._seen = self._renewed_at = 0
+        self._seen = self._renewed_at = self._stood = self._over = 0
         self._work: Parts[None] | None = None
         self.findings: tuple[Finding, ...] = ()
 
@@ -142,7 +155,11 @@ class RunningExamination:
         self._buffers.add("compass", (time_s, yaw))
 
     def fix(self, time_s: float, x: float, y: float, yaw: float) -> None:
-        """Take a fix in, as the localizer uses it [s, m, m, rad]; NaN yaw if that is not used."""
+        """Take a fix in, as the localizer would use it [s, m, m, rad].
+
+        A yaw that is not used is evidence, too: it shows late fixes four times as well as positions
+        do. Nothing is found about such a yaw.
+        """
         self._buffers.add("fixes", (time_s, x, y, yaw))
 
     def advance(self, now_s: float) -> None:
@@ -167,6 +184,7 @@ class RunningExamination:
             is_over = True
         if is_over:
             self._work = None
+            self._over += 1
 
     def _look_at(self, begin_s: float, end_s: float) -> Parts[None]:
         """Take a block in, and find out what is wrong after it."""
@@ -197,7 +215,10 @@ class RunningExamination:
         if min(len(left), len(right)) < FEWEST_WHEEL_READINGS // 2:
             return None
         travel = wheel_travel(left, right)
-        if len(travel.times) < FEWEST_WHEEL_READINGS // 2 or _moved(travel) < self._still:
+        if _moved(travel) < self._still:
+            self._stood += 1
+            return None
+        if len(travel.times) < FEWEST_WHEEL_READINGS // 2:
             return None
         self._interval_s = float(np.median(np.diff(travel.times)))
         if self._interval_s > SLOWEST_WHEELS_S:
@@ -212,6 +233,11 @@ class RunningExamination:
     def kept(self) -> tuple[int, int]:
         """Numbers of blocks and of readings that are kept."""
         return max(len(self._compass), len(self._fix_yaw)), self._buffers.count
+
+    @property
+    def examined(self) -> bool:
+        """Whether enough of the drive was looked at for a mistake to be found, if that can be."""
+        return self._over - self._stood >= FEWEST_BLOCKS
 
     def evidence(self, which: slice = slice(None)) -> Evidence:
         """Return what some of the blocks say, or all of them."""
@@ -232,12 +258,16 @@ class RunningExamination:
             if self._seen < self._renewed_at:
                 return
         yield
-        found = yield from self._found(BLOCK_S * blocks)
+        found, explanation = yield from self._found(BLOCK_S * blocks)
         if found:
-            self.findings, self._renewed_at = found, self._seen + RENEWED_BLOCKS
+            self.findings, self._explanation = found, explanation
+            self._renewed_at = self._seen + RENEWED_BLOCKS
 
-    def _found(self, long_s: float) -> Parts[tuple[Finding, ...]]:
-        """Return what is wrong by all blocks, if it is so in each half of them."""
+    def _found(self, long_s: float) -> Parts[tuple[tuple[Finding, ...], Explanation | None]]:
+        """Return what is wrong by all blocks and by each half of them, and what explains it.
+
+        No explanation is needed for a yaw that is random or in another unit.
+        """
         compass, random = self._compass.source()
         yield
         evidence = _together(compass, random, self._fix_yaw.source()[0])
@@ -245,32 +275,43 @@ class RunningExamination:
             for half in self._halves():
                 yield
                 if not self.evidence(half).random_compass:
-                    return ()
-            return (random_compass(),)
-        unit = compass_unit(evidence)
-        if not unit and self._fit(evidence) > -LEAST_MISFIT:
-            return ()
+                    return (), None
+            return (random_compass(),), None
+        unit = yield from self._lasting_unit(evidence)
+        if self._fit(evidence) > -LEAST_MISFIT:
+            return unit, None
         yield
         explanation = explain(evidence, self._meters, self._separation)
         if explanation is None:
+            return unit, None
+        context = Context(self._configured, evidence, explanation, self._interval_s)
+        found = [
+            each
+            for each in told_findings(context, long_s)
+            if _is_told(each, context) and each.name != "compass_degrees"
+        ]
+        if not found or not (yield from self._lasts(explanation)):
+            return unit, None
+        return in_order([*unit, *found]), explanation
+
+    def _lasting_unit(self, evidence: Evidence) -> Parts[tuple[Finding, ...]]:
+        """Return the compass's wrong unit, if it has one in each half of the blocks."""
+        unit = compass_unit(evidence)
+        if unit:
             for half in self._halves():
                 yield
                 if compass_unit(self.evidence(half)) != unit:
                     return ()
-            return tuple(unit)
-        context = Context(self._configured, evidence, explanation, self._interval_s)
-        found = [each for each in told_findings(context, long_s) if _is_told(each, context)]
-        if not found or not (yield from self._lasts(explanation)):
-            return ()
-        self._explanation = explanation
-        return in_order(found)
+        return tuple(unit)
 
     def _fit(self, evidence: Evidence, explanation: Explanation | None = None) -> float:
         """Return the log likelihood of an explanation; None: that all is as configured [nats]."""
-        if explanation is None:
-            return fit_of(evidence, self._meters, self._separation)
-        return fit_of(
-            evidence, self._meters, self._separation, explanation.wiring, explanation.free
+        hypotheses = self._nothing
+        if explanation is not None:
+            hypotheses = ((explanation.wiring, explanation.free),)
+        return max(
+            fit_of(evidence, self._meters, self._separation, wiring, free)
+            for wiring, free in hypotheses
         )
 
     def _halves(self) -> tuple[slice, slice]:
@@ -298,9 +339,12 @@ def _is_told(finding: Finding, context: Context) -> bool:
     """Return whether a finding is told while driving.
 
     Numbers have to be certain: a drive is looked at again and again. A delay has to be large,
-    and wheels have to explain the sensor well: instruments are weak where they slip much.
+    and wheels have to explain the sensor well: instruments are weak where they slip much. A yaw
+    that is not used has no mistakes.
     """
     if finding.certainty is Certainty.POSSIBLE or finding.name in UNTOLD:
+        return False
+    if finding.name in OF_FIX_YAW and not context.configured["lrf_use_yaw"]:
         return False
     if not finding.name.endswith("_delay"):
         return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
@@ -329,8 +373,13 @@ def _together(compass: YawSource | None, random: bool, fix_yaw: YawSource | None
 
 
 def _of_one_slip(source: YawSource) -> YawSource:
-    """Return one of two sensors' yaws, which see the same slip: together they count as one."""
-    return source._replace(fit=source.fit._replace(covariance=2.0 * source.fit.covariance))
+    """Return one of two sensors' yaws, which see the same slip: together they count as one.
+
+    That holds for the wheels; each sensor has a delay of its own.
+    """
+    scale = np.sqrt([2.0, 2.0, 1.0])
+    covariance = source.fit.covariance * np.outer(scale, scale)
+    return source._replace(fit=source.fit._replace(covariance=covariance))
 
 
 def _moved(travel: WheelTravel) -> float:

@@ -65,6 +65,9 @@ STILL = 0.01
 stands, drives straight on, or the sensor is frozen."""
 CHANCE = 2.5
 """Mean resultant length that random directions rarely exceed, times the root of their number."""
+NARROW_TURN = 1.2
+"""Rotation by the wheels within two blocks in which a yaw that stays near 0 is one in radians taken
+for degrees [rad]: less than a corner, more than wheels slip."""
 UNIT_MARGIN = 0.2
 """Length by which changes of a yaw have to be more alike if it is in degrees."""
 _FACTORS = (1.0, DEGREES, -DEGREES)
@@ -140,6 +143,7 @@ class YawBlocks:
         self._blocks: deque[YawBlock] = deque(maxlen=MOST_BLOCKS)
         self._ends: dict[str, _End] = {}
         self._narrow = False
+        self._near_0: FloatArray | None = None
         self._known: YawFit | None = None
         self._moved_known: NumberArray | None = None
         self._ratios = [USUAL_RATIO, USUAL_RATIO]
@@ -163,21 +167,22 @@ class YawBlocks:
             readings: `(n, 2)` stamps, yaw, also beyond the block [s, rad].
             fixes: `(k, 4)` within it.
         """
-        readings = averaged(readings)
         inside = segment.inside(readings)
         if len(inside) < FEWEST_IN_BLOCK or float(np.ptp(inside[:, 1])) < STILL:
             return
         self._look_at_unit(segment, inside)
-        if self._narrow:
-            readings, inside = readings * [1.0, DEGREES], inside * [1.0, DEGREES]
+        readings = averaged(readings * [1.0, DEGREES] if self._narrow else readings)
+        inside = segment.inside(readings)
+        if len(inside) < FEWEST_IN_BLOCK:
+            return
         inside = self._with_last("rotation", inside)
         moved = segment.travel.mean_and_half_difference(inside[:, 0])
-        slope = np.zeros(2) if self._known is None else self._known.coefficients[:2]
+        slope = self._unknown() if self._known is None else self._known.coefficients[:2]
         unwrapped = unwrapped_beside(np.asarray(wrap_angle(inside[:, 1])), moved @ slope)
         rotation = self._rotation_sums(segment.travel, inside, unwrapped)
         if len(self._blocks) < PROVISIONAL_BLOCKS:
             sums = [*(block.rotation for block in self._blocks), rotation]
-            self._known = _shrunk(rotation_of_blocks(sums, 0.0))
+            self._known = self._shrunk(rotation_of_blocks(sums, 0.0))
             self._ratios[0] = likeliest_ratio(sums)
         assert self._known is not None
         slope = self._known.coefficients[:2]
@@ -215,7 +220,7 @@ class YawBlocks:
         lengths = np.abs(sum(block.changes for block in blocks)) / max(close, 1)
         fit = rotation_of_blocks(rotations, float(np.mean([each.delay_s for each in blocks])))
         if which == slice(None):
-            self._known = _shrunk(fit)
+            self._known = self._shrunk(fit)
             self._ratios[0] = likeliest_ratio(rotations)
         turned = max(block.turned for block in blocks)
         if not _well_known(fit.coefficients[:2], fit.covariance) and close:
@@ -241,16 +246,40 @@ class YawBlocks:
     def _look_at_unit(self, segment: Segment, inside: FloatArray) -> None:
         """Find out whether the yaw is so near 0 that it is one in radians taken for degrees."""
         by_wheels = segment.travel.mean_and_half_difference(inside[:, 0]) @ self._expected
+        last, self._near_0 = self._near_0, None
         near_0 = float(np.max(np.abs(inside[:, 1]))) < NARROW_YAW
+        if near_0:
+            self._near_0 = by_wheels - by_wheels[-1]
+            if last is not None:
+                by_wheels = np.concatenate([last + by_wheels[0], by_wheels])
         if self._narrow and not near_0:
             self._narrow = False
-        elif not self._narrow and near_0 and float(np.ptp(by_wheels)) > 1.0:
+        elif not self._narrow and near_0 and float(np.ptp(by_wheels)) > NARROW_TURN:
             self._narrow = True
         else:
             return
         self._blocks.clear()
         self._ends.clear()
         self._known = None
+        self._ratios = [USUAL_RATIO, USUAL_RATIO]
+
+    def _unknown(self) -> FloatArray:
+        """Return the `(2,)` coefficients of which nothing is known.
+
+        None, but for radians taken for degrees: they are recognized by the configuration.
+        """
+        return self._expected if self._narrow else np.zeros(2)
+
+    def _shrunk(self, fit: YawFit) -> YawFit:
+        """Return a fit without what may as well be 0.
+
+        A robot that drove straight on tells no coefficient, and one that turned at one rate only
+        their sum. What is known wrongly unwraps the next turns wrongly, and then seems to be known
+        well.
+        """
+        unsure = np.abs(fit.coefficients) < KNOWN * np.sqrt(np.diag(fit.covariance))
+        instead = np.array([*self._unknown(), 0.0])
+        return fit._replace(coefficients=np.where(unsure, instead, fit.coefficients))
 
     def _with_last(self, kind: str, readings: FloatArray) -> FloatArray:
         """Return readings with the last one of the block before in front, if it is known still."""
@@ -320,14 +349,3 @@ _MIDDLE = [len(NODES_S) // 2, len(NODES_S) + len(NODES_S) // 2]
 def _well_known(coefficients: FloatArray, covariance: FloatArray) -> bool:
     stds = np.sqrt(np.diag(covariance)[: len(coefficients)])
     return bool(np.max(np.abs(coefficients) / stds) > WELL_KNOWN)
-
-
-def _shrunk(fit: YawFit) -> YawFit:
-    """Return a fit without coefficients that may as well be 0.
-
-    A robot that drove straight on tells none, and one that turned at one rate only their sum. What
-    is known wrongly unwraps the next turns wrongly, and then seems to be known well.
-    """
-    found = fit.coefficients.copy()
-    found[np.abs(found) < KNOWN * np.sqrt(np.diag(fit.covariance))] = 0.0
-    return fit._replace(coefficients=found)

@@ -85,6 +85,11 @@ class Mistakes:
         """What is wrong, the surest first."""
         return self._examination.findings
 
+    @property
+    def examined(self) -> bool:
+        """Whether enough of the drive was looked at to find one."""
+        return self._examination.examined
+
     def took(self, event: Event, change: BufferChange) -> None:
         """Take an event in, and what it changed."""
         if self._start_ns is None:
@@ -97,8 +102,7 @@ class Mistakes:
             self._examination.compass(self._seconds(event.stamp_ns), yaw)
         elif isinstance(event, PoseFix):
             x, y, yaw = event.pose.tolist()
-            used = yaw if self._parameters.lrf_use_yaw else math.nan
-            self._examination.fix(self._seconds(event.stamp_ns), x, y, used)
+            self._examination.fix(self._seconds(event.stamp_ns), x, y, yaw)
 
     def advance(self, now_ns: int) -> None:
         """Look at what is over at a ROS time [ns]."""
@@ -139,13 +143,23 @@ def filter_messages(findings: Sequence[Finding]) -> list[str]:
     return [fill(FilterMessage.MISTAKE, sensor=sensor) for sensor in culprits(findings)]
 
 
+def without_remedy(status: Status) -> Status:
+    """Return a status that names no parameter.
+
+    Symptoms show before the mistake that causes them: a compass that counts clockwise, or a wheel
+    that does, looks like one that is off by an angle.
+    """
+    values = tuple((key, value) for key, value in status.values if key != FITTING)
+    return status._replace(values=values)
+
+
 def with_mistakes(status: Status, findings: Sequence[Finding]) -> Status:
     """Return a sensor's status with what is wrong with it; errors of it come first."""
     own = [each for each in findings if MESSAGES_OF_FINDINGS[each.name][0] == status.name]
     if not own:
         return status
-    without = tuple((key, value) for key, value in status.values if key != FITTING)
-    status = status._replace(values=(*without, *_values(own)))
+    status = without_remedy(status)
+    status = status._replace(values=(*status.values, *_values(own)))
     if status.level is Level.ERROR:
         return status
     messages = [str(MESSAGES_OF_FINDINGS[each.name][1]) for each in own]

@@ -32,7 +32,7 @@ from fnn_ekf_ros.diagnostics.messages import (
     TimeMessage,
     join,
 )
-from fnn_ekf_ros.diagnostics.mistakes import Mistakes, with_mistakes
+from fnn_ekf_ros.diagnostics.mistakes import Mistakes, with_mistakes, without_remedy
 from fnn_ekf_ros.diagnostics.recent_periods import (
     RecentPeriods,
     SensorReadings,
@@ -243,6 +243,8 @@ class DiagnosticsReport:
             filter_status(self._parameters, facts),
             self._time.status(),
         )
+        if not self._mistakes.examined:
+            statuses = tuple(map(without_remedy, statuses))
         statuses = tuple(with_mistakes(status, mistakes) for status in statuses)
         self._reception.reported()
         self._failures = self._failures._replace(new="")

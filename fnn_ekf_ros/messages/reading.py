@@ -176,10 +176,13 @@ def _pose(
             f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}'",
         )
     pose = planar_pose(message)
-    units = np.ones(3)
+    covariance = planar_block(message.pose.covariance)
     if topic == LRF_POSE:
-        units[:2] = parameters.lrf_pose_scale
-        pose = pose * units + [0.0, 0.0, parameters.lrf_yaw_offset]
+        scale = parameters.lrf_pose_scale
+        units = np.array([scale, scale, 1.0])
+        with np.errstate(over="ignore"):  # what becomes infinite is refused
+            pose = pose * units + [0.0, 0.0, parameters.lrf_yaw_offset]
+            covariance = covariance * np.outer(units, units)
     x, y, yaw = pose.tolist()
     if not (abs(x) < LARGEST_POSITION and abs(y) < LARGEST_POSITION):
         return Rejected(
@@ -193,7 +196,6 @@ def _pose(
             InputCheck.ORIENTATION,
             f"{topic}: {_bad_quaternion(message.pose.pose.orientation)}",
         )
-    covariance = planar_block(message.pose.covariance) * np.outer(units, units)
     if topic == INITIAL_POSE:
         return _pose_reset(message, pose, covariance, receive_ns, parameters)
     if parameters.lrf_use_message_covariance:

@@ -78,7 +78,7 @@ def follow_mistake(
     for report in reports:
         right = False
         for status in report.statuses:
-            if MISTAKE not in dict(status.values):
+            if not {MISTAKE, FITTING} & dict(status.values).keys():
                 continue
             if mistake is not None and _is_named(mistake, status):
                 right, value = True, dict(status.values).get(FITTING, "")

@@ -3,7 +3,6 @@
 
 """The examination of a robot that drives: sums of blocks say what all readings at once say."""
 
-import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -35,7 +34,7 @@ def feed(
         elif kind == 2:
             examination.compass(time, row[1])
         else:
-            examination.fix(*row[:3], row[3] if configured["lrf_use_yaw"] else math.nan)
+            examination.fix(*row)
         examination.advance(time)
         yield time
 
@@ -151,6 +150,42 @@ def test_a_sensor_that_is_not_used_is_not_told() -> None:
     turned = given._replace(fixes=np.add(given.fixes, [0.0, 0.0, 0.0, 0.6]))
     assert names(examined(turned)) == []
     assert names(examined(turned, lrf_use_yaw=True)) == ["fix_yaw_offset"]
+
+
+def test_a_yaw_of_the_fixes_that_is_not_used_shows_how_late_they_are() -> None:
+    given = drive(2, LONG_S, slip=(0.05, 0.05), compass_std=0.13)
+    late = given._replace(fixes=np.add(given.fixes, [0.5, 0.0, 0.0, 0.0]))
+    widths = []
+    for yaw in (0.0, 0.6, np.nan):
+        changed = np.add(late.fixes, [0.0, 0.0, 0.0, yaw])
+        (finding,) = examined(late._replace(fixes=changed)).findings
+        assert finding.name == "fix_delay"
+        (change,) = finding.changes
+        assert change.value == pytest.approx(0.5, abs=0.1)
+        widths.append(change.high - change.low)
+    assert widths[0] == pytest.approx(widths[1], rel=0.05)
+    assert max(widths[:2]) < 0.7 * widths[2]
+
+
+def test_a_finding_is_over_although_a_yaw_that_is_not_used_is_wrong() -> None:
+    given = drive(6, 220.0)
+    given = given._replace(fixes=np.add(given.fixes, [0.0, 0.0, 0.0, 0.6]))
+    turned = with_compass(given, lambda yaw: yaw + 0.8)
+    late = given.compass[:, 0] >= 80.0
+    turned.compass[late] = given.compass[late]
+    values = parameters()
+    examination = RunningExamination(values)
+    told = [names(examination) for _ in feed(examination, turned, values)]
+    assert ["compass_offset"] in told
+    assert told[-1] == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_radians_taken_for_degrees_are_told_beside_a_yaw_of_the_fixes(seed: int) -> None:
+    given = drive(seed, LONG_S)
+    given = given._replace(compass=given.compass * [1.0, np.pi / 180.0])
+    for used in (False, True):
+        assert names(examined(given, lrf_use_yaw=used)) == ["compass_degrees"]
 
 
 def test_what_begins_while_driving_is_no_mistake() -> None:

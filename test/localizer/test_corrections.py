@@ -17,7 +17,7 @@ from fnn_ekf_ros.messages import Message
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
 from fnn_ekf_ros.simulation.listening import as_object
 from fnn_ekf_ros.timeline.epochs import Cutter, Instant
-from fnn_ekf_ros.timeline.events import CompassYaw, PoseFix, PoseReset
+from fnn_ekf_ros.timeline.events import CompassYaw, PoseFix, PoseReset, Rejected
 from fnn_ekf_ros.timeline.filter_model import wheel_geometry
 
 
@@ -27,18 +27,24 @@ def parameters(**changes: Any) -> LocalizerParameters:
     )
 
 
-def fix(topic: str, given: LocalizerParameters) -> PoseFix | PoseReset:
-    """Return the event of a pose at (2000, -500), yaw 0.4, std 100, 200, 0.1."""
-    covariance = messages.planar_covariance(np.diag([1e4, 4e4, 0.01]))
+def pose_message(pose: list[float], variances: list[float]) -> SimpleNamespace:
+    """Return the message of a pose in the map."""
+    covariance = messages.planar_covariance(np.diag(variances))
     message: SimpleNamespace = as_object(
         Message(
             messages.POSE_TYPE,
             {
                 "header": messages.header(10**9, "map"),
-                "pose": messages.pose_with_covariance(np.array([2000.0, -500.0, 0.4]), covariance),
+                "pose": messages.pose_with_covariance(np.array(pose), covariance),
             },
         )
     )
+    return message
+
+
+def fix(topic: str, given: LocalizerParameters) -> PoseFix | PoseReset:
+    """Return the event of a pose at (2000, -500), yaw 0.4, std 100, 200, 0.1."""
+    message = pose_message([2000.0, -500.0, 0.4], [1e4, 4e4, 0.01])
     events = messages.read_input(topic, message, 10**9, given)
     assert isinstance(events, list)
     (event,) = events
@@ -73,6 +79,21 @@ def test_fixes_are_scaled_with_their_covariance_and_turned() -> None:
     event = fix(messages.LRF_POSE, parameters(lrf_pose_scale=1e-3, lrf_yaw_offset=0.3))
     assert event.pose == pytest.approx([2.0, -0.5, 0.7])
     assert np.diag(event.covariance) == pytest.approx([0.01, 0.04, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("position", "variance", "told"),
+    [(1e305, 1.0, "lrf_pose at (inf, -500) m"), (1.0, 1e300, "[inf, 1e+12]")],
+)
+def test_what_a_scale_makes_infinite_is_refused(
+    position: float, variance: float, told: str
+) -> None:
+    given = parameters(lrf_pose_scale=1e6, lrf_use_message_covariance=True)
+    rejected = messages.read_input(
+        messages.LRF_POSE, pose_message([position, -5e-4, 0.4], [variance, 1.0, 0.01]), 10**9, given
+    )
+    assert isinstance(rejected, Rejected)
+    assert told in rejected.reason
 
 
 def test_a_pose_that_is_set_is_taken_as_it_is() -> None:
