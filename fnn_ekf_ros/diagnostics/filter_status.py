@@ -18,7 +18,6 @@ from fnn_ekf_ros.diagnostics.fault_isolation import FaultIsolation
 from fnn_ekf_ros.diagnostics.lasting_words import lasting_in_words
 from fnn_ekf_ros.diagnostics.messages import (
     MEASUREMENT_NOISES,
-    OTHERS,
     PROCESS_NOISES,
     FilterMessage,
     fill,
@@ -208,7 +207,7 @@ def _isolation_messages(found: FaultIsolation) -> list[str]:
     if named is Sensor.ENCODERS:
         return [FilterMessage.WHEELS_DISAGREE]
     if named is not None:
-        return [fill(FilterMessage.SENSOR_DISAGREES, measuring_sensor=named, others=OTHERS[named])]
+        return [fill(FilterMessage.SENSOR_DISAGREES, measuring_sensor=named)]
     if found.suspects:
         return [fill(FilterMessage.CONTRADICTION, sensors=" or ".join(found.suspects))]
     return []

@@ -25,12 +25,6 @@ RECEIVED, REFUSED, LEFT_OUT, DROPPED = "received", "refused", "left out", "dropp
 SEPARATOR = "; "
 """Between the messages of a status that has several; no message contains it."""
 
-OTHERS = {
-    Sensor.ENCODERS: "the compass and the fixes",
-    Sensor.COMPASS: "the wheels and the fixes",
-    Sensor.LRF_POSE: "the wheels and the compass",
-}
-"""The sensors that a sensor disagrees with."""
 PROCESS_NOISES = ("distance", "rotation")
 """Components of Q, as the status `filter` calls them."""
 MEASUREMENT_NOISES = ("fixes' x", "fixes' y", "compass", "fixes' yaw")
@@ -40,7 +34,6 @@ NAMES = {
     "wheel": tuple(wheel.name.lower() for wheel in Wheel),
     "sensor": tuple(Sensor),
     "measuring sensor": (Sensor.COMPASS, Sensor.LRF_POSE),
-    "others": (OTHERS[Sensor.COMPASS], OTHERS[Sensor.LRF_POSE]),
     "sensors": (
         *(" or ".join(pair) for pair in itertools.combinations(Sensor, 2)),
         " or ".join(Sensor),
@@ -75,13 +68,9 @@ class EncoderMessage(StrEnum):
         "<wheel> wheel jumped after a silence: taken for a restart or a glitch, not for motion"
     )
     TIMEOUT = "periods closed without both wheels"
-    DISAGREE = "disagree with the compass and the fixes: wheel slip or an encoder fault"
-    WHEEL_SMALLER = (
-        "disagree with the compass and the fixes: the <wheel> wheel travels less than it counts"
-    )
-    WHEEL_LARGER = (
-        "disagree with the compass and the fixes: the <wheel> wheel travels more than it counts"
-    )
+    DISAGREE = "disagree with the other sensors: wheel slip or an encoder fault"
+    WHEEL_SMALLER = "disagree with the other sensors: the <wheel> wheel travels less than it counts"
+    WHEEL_LARGER = "disagree with the other sensors: the <wheel> wheel travels more than it counts"
     WRONG_SIZE = (
         "the wheels travel more or less than they count: set wheel_radius, gear_ratio or "
         "encoder_counts_per_revolution"
@@ -110,9 +99,9 @@ class SensorMessage(StrEnum):
     TURNED = "the yaw was turned: it is not used until the angle is known"
     STAMPS_LATE = "stamps seem late: the readings show where the robot was before"
     STAMPS_EARLY = "stamps seem early: the readings show where the robot was later"
-    REJECTED = "many readings rejected: they disagree with <others>"
+    REJECTED = "many readings rejected: they disagree with the other sensors"
     SCATTER_MORE = "readings scatter more than the assumed noise"
-    DISAGREES = "disagrees with <others>"
+    DISAGREES = "disagrees with the other sensors"
     SCATTER_LESS = "received, readings scatter less than the assumed noise"
     AFFECTED = "received, does not fit the other sensors, but need not be the cause"
 
@@ -151,8 +140,8 @@ class FilterMessage(StrEnum):
     RESTARTED = "a period failed: the filter starts anew"
     MOVED = "the robot was carried, or the fixes jumped: pose moved to where the fixes agree"
     MISTAKE = "a mistake of robot, wiring or configuration: see <sensor>"
-    WHEELS_DISAGREE = "encoders disagree with the compass and the fixes"
-    SENSOR_DISAGREES = "<measuring sensor> disagrees with <others>"
+    WHEELS_DISAGREE = "encoders disagree with the other sensors"
+    SENSOR_DISAGREES = "<measuring sensor> disagrees with the other sensors"
     CONTRADICTION = "measurements contradict each other: <sensors> is wrong"
     DEGRADED_POSITION = "degraded: no fix accepted while driving"
     DEGRADED_YAW = "degraded: no yaw accepted while driving"

@@ -14,7 +14,7 @@ from fnn_ekf_ros.diagnostics.fault_isolation import (
 from fnn_ekf_ros.diagnostics.frozen import FrozenReadings
 from fnn_ekf_ros.diagnostics.lasting_words import YawOffset
 from fnn_ekf_ros.diagnostics.late_stamps import LateStamps
-from fnn_ekf_ros.diagnostics.messages import OTHERS, SensorMessage, fill
+from fnn_ekf_ros.diagnostics.messages import SensorMessage
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.timeline.events import Level, Sensor, Status
 
@@ -57,7 +57,7 @@ def measuring_status(
     if late is not None:
         return status._replace(level=Level.WARN, message=late.message)
     if found.named is sensor:
-        return status._replace(level=Level.WARN, message=_named_message(sensor, symptoms))
+        return status._replace(level=Level.WARN, message=_named_message(symptoms))
     calm = not found.suspects and max(found.leads) < CLEARED_LEAD
     if symptoms.scatter is Scatter.LESS and calm:  # too large an assumed noise is no fault
         return status._replace(message=SensorMessage.SCATTER_LESS)
@@ -66,12 +66,12 @@ def measuring_status(
     return status
 
 
-def _named_message(sensor: Sensor, symptoms: Symptoms) -> str:
+def _named_message(symptoms: Symptoms) -> str:
     if symptoms.rejected >= MANY_REJECTIONS:
-        return fill(SensorMessage.REJECTED, others=OTHERS[sensor])
+        return SensorMessage.REJECTED
     if symptoms.scatter is Scatter.MORE:
         return SensorMessage.SCATTER_MORE
-    return fill(SensorMessage.DISAGREES, others=OTHERS[sensor])
+    return SensorMessage.DISAGREES
 
 
 def _values_of_faults(

@@ -185,9 +185,9 @@ def status_of(sensor: Sensor, readings: Readings, found: FaultIsolation) -> Stat
 @pytest.mark.parametrize(
     ("readings", "words"),
     [
-        (rejecting(5), "many readings rejected: they disagree with the wheels and the fixes"),
+        (rejecting(5), "many readings rejected: they disagree with the other sensors"),
         (WIDE, "readings scatter more than the assumed noise"),
-        (RIGHT, "disagrees with the wheels and the fixes"),
+        (RIGHT, "disagrees with the other sensors"),
     ],
 )
 def test_the_named_sensor_is_warned_about_with_its_symptom(readings: Readings, words: str) -> None:

@@ -133,7 +133,7 @@ def test_a_turned_compass_is_named_and_nobody_else() -> None:
     warned = {s.name for o in outputs if o.estimate for s in o.statuses or () if s.level}
     assert warned == {"compass", "filter"}
     told = statuses(outputs, "filter")
-    first = next(s for s in told if "compass disagrees with the wheels and the fixes" in s.message)
+    first = next(s for s in told if "compass disagrees with the other sensors" in s.message)
     suspicion = dict(first.values)["suspicion [nats]"]
     _, compass, _ = (float(words.split()[1]) for words in suspicion.split(", "))
     assert compass > 12.0

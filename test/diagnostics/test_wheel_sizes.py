@@ -138,7 +138,7 @@ def test_wheels_are_named_unless_another_sensor_is_suspected() -> None:
     assert found.sizes is not None
     (message,) = size_messages(found.sizes)
     assert message == (
-        "disagree with the compass and the fixes: the left wheel travels less than it counts"
+        "disagree with the other sensors: the left wheel travels less than it counts"
     )
     for leads in ((0.0, CLEARED_LEAD, 0.0), (0.0, 0.0, CLEARED_LEAD)):
         suspected = seen._replace(leads=(Leads(0, leads),))
@@ -148,7 +148,7 @@ def test_wheels_are_named_unless_another_sensor_is_suspected() -> None:
 def test_sizes_are_told_in_parts_of_the_distance() -> None:
     sizes = WheelSizes(0.2, -0.1, 9.0, 9.0, 9.0)
     assert size_messages(sizes) == [
-        "disagree with the compass and the fixes: the left wheel travels less than it counts",
-        "disagree with the compass and the fixes: the right wheel travels more than it counts",
+        "disagree with the other sensors: the left wheel travels less than it counts",
+        "disagree with the other sensors: the right wheel travels more than it counts",
     ]
     assert [value for _, value in size_values(sizes)] == ["-20", "+10"]
