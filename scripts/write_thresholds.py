@@ -10,7 +10,12 @@ from typing import NamedTuple
 
 from documents import ROOT, read
 
-from fnn_ekf_ros.calibration import block_sums, running_examination, yaw_blocks
+from fnn_ekf_ros.calibration import (
+    block_sums,
+    geometry_findings,
+    running_examination,
+    yaw_blocks,
+)
 from fnn_ekf_ros.core import frozen, joint, relocation, sensor_lag, suspects
 from fnn_ekf_ros.core.lasting import compass_offset, members
 from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
@@ -137,7 +142,7 @@ THRESHOLDS = (
     Threshold("mistakes: largest delay that is told",
               running_examination.LARGEST_TOLD_DELAY_S, "s"),
     Threshold("mistakes: longest time between two readings of a wheel",
-              running_examination.SLOWEST_WHEELS_S, "s"),
+              geometry_findings.SLOWEST_WHEELS_S, "s"),
     Threshold("mistakes: longest time between two readings of a sensor that are compared",
               block_sums.LONGEST_STEP_S, "s"),
     Threshold("degraded: time of driving without an accepted fix or yaw",

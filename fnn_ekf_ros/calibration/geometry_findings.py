@@ -29,6 +29,9 @@ LEAST_DELAY_S = 0.1
 SAMPLED = 1.0
 """Smallest delay as a part of the time between two readings of a wheel: speeds that are sampled
 once in an interval, or read late in it, are off by up to that."""
+SLOWEST_WHEELS_S = 0.5
+"""Longest usual time between two readings of a wheel [s]: in more, a robot turns unevenly, and what
+is interpolated looks like delays and, in a short drive, like wrong sizes."""
 NEAR = 0.12
 """Part by which a factor may differ from one that is typical of a mistake."""
 COUNT_FACTORS = (4.0, 2.0, 0.5, 0.25)
@@ -321,13 +324,16 @@ def _delays(context: Context) -> list[Finding]:
         by, std = context.explanation.value(name), context.explanation.std(name)
         about = float(context.configured[parameter])
         least = max(LEAST_DELAY_S, SAMPLED * context.wheel_interval_s)
+        certainty = certainty_of_number(odds, abs(by), std, least)
+        if context.wheel_interval_s > SLOWEST_WHEELS_S:
+            certainty = Certainty.POSSIBLE
         found.append(
             Finding(
                 name,
                 f"the {sensor} {'is' if sensor == 'compass' else 'are'} stamped {abs(by):.3g} s "
                 f"{'later' if by > 0 else 'earlier'} than measured, by the wheels' clock",
                 _explained(context),
-                certainty_of_number(odds, abs(by), std, least),
+                certainty,
                 (context.shift(parameter, by, std, "s", about),),
             )
         )

@@ -36,7 +36,12 @@ from fnn_ekf_ros.calibration.findings import (
     Finding,
     in_order,
 )
-from fnn_ekf_ros.calibration.geometry_findings import LEAST_DELAY_S, Context, compass_unit
+from fnn_ekf_ros.calibration.geometry_findings import (
+    LEAST_DELAY_S,
+    SLOWEST_WHEELS_S,
+    Context,
+    compass_unit,
+)
 from fnn_ekf_ros.calibration.rotation import EXPLAINED
 from fnn_ekf_ros.calibration.travel import WheelTravel, wheel_travel
 from fnn_ekf_ros.calibration.yaw_blocks import BLOCK_S, MARGIN_S, Segment, YawBlocks
@@ -64,9 +69,6 @@ LASTING_GAIN = 2.0
 configuration does [nats]: what begins while driving is a fault, not a mistake."""
 SPACING_S = {"left": 0.02, "right": 0.02, "compass": 0.02, "fixes": 0.1}
 """Shortest time between two readings that are kept [s]: nothing changes much within it."""
-SLOWEST_WHEELS_S = 0.5
-"""Longest usual time between two readings of a wheel [s]: in more, a robot turns unevenly, and what
-is interpolated looks like delays and wrong sizes."""
 LEAST_TOLD_DELAY_S = LEAST_DELAY_S + 0.15
 """Delay that has to be exceeded significantly [s]: a robot that is steered by its true position
 seems to be late by up to 0.15 s."""

@@ -130,6 +130,16 @@ def test_a_right_robot_gets_a_clean_bill(seed: int) -> None:
     assert serious(examine(drive(seed, slip=(0.08, 0.08), compass_std=0.13), parameters())) == []
 
 
+def test_wheels_that_are_read_too_seldom_show_no_delay_for_sure() -> None:
+    """What is interpolated between readings that are 0.7 s apart looks like a delay."""
+    given = drive(1, 120.0)
+    late = given._replace(compass=np.add(given.compass, [1.2, 0.0]))
+    seldom = late._replace(left=late.left[::14], right=late.right[::14])
+    for each, certainty in ((late, Certainty.CERTAIN), (seldom, Certainty.POSSIBLE)):
+        (finding,) = examine(each, parameters()).findings
+        assert (finding.name, finding.certainty) == ("compass_delay", certainty)
+
+
 def test_swapped_ticks_are_put_right_by_remapping() -> None:
     given = drive(1)
     (finding,) = serious(examine(given._replace(left=given.right, right=given.left), parameters()))
