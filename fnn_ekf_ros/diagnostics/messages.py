@@ -16,6 +16,8 @@ from fnn_ekf_ros.timeline.events import InputCheck, Sensor, Wheel
 
 LAST_REFUSAL = "last refusal"
 """The key of the reason with which the last message of a sensor was refused."""
+PASSED_OVER = "passed over"
+"""The key of what the messages of a sensor say that has no reading."""
 MISTAKE = "mistake"
 """Key of the sentence that says what is wrong since the start."""
 FITTING = "parameter that would fit"

@@ -8,6 +8,7 @@ from collections import Counter
 from fnn_ekf_ros.diagnostics.messages import (
     LAST_REFUSAL,
     LEFT_OUT,
+    PASSED_OVER,
     RECEIVED,
     REFUSED,
     InputMessage,
@@ -16,7 +17,7 @@ from fnn_ekf_ros.diagnostics.messages import (
 )
 from fnn_ekf_ros.diagnostics.noise_words import Values
 from fnn_ekf_ros.timeline.epochs import MOST_READINGS_A_SECOND
-from fnn_ekf_ros.timeline.events import STALE_NS, Level, Rejected, Sensor, Status
+from fnn_ekf_ros.timeline.events import STALE_NS, Level, PassedOver, Rejected, Sensor, Status
 
 
 class Reception:
@@ -29,6 +30,7 @@ class Reception:
         self._refused: Counter[Sensor] = Counter()
         self._last_refusal: dict[Sensor, str] = {}
         self._new_refusal: dict[Sensor, str] = {}
+        self._passed_over: dict[Sensor, str] = {}
         self._left_out: Counter[Sensor] = Counter()
         self._newly_left_out: Counter[Sensor] = Counter()
 
@@ -48,6 +50,10 @@ class Reception:
         self._refused[rejected.sensor] += 1
         self._new_refusal[rejected.sensor] = fill(InputMessage.REFUSED, check=rejected.check)
         self._last_refusal[rejected.sensor] = rejected.reason
+
+    def passed_over(self, passed: PassedOver) -> None:
+        """Remember why a message says nothing about a sensor."""
+        self._passed_over[passed.sensor] = passed.reason
 
     def left_out(self, sensor: Sensor, count: int) -> None:
         """Count readings that were too many to be used."""
@@ -112,6 +118,8 @@ class Reception:
         )
         if sensor in self._last_refusal:
             values += ((LAST_REFUSAL, self._last_refusal[sensor]),)
+        if sensor in self._passed_over and not self._count[sensor]:
+            values += ((PASSED_OVER, self._passed_over[sensor]),)
         if self._left_out[sensor]:
             values += (
                 (LEFT_OUT, str(self._left_out[sensor])),

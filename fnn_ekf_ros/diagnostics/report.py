@@ -50,6 +50,7 @@ from fnn_ekf_ros.timeline.events import (
     Event,
     Level,
     Move,
+    PassedOver,
     PoseFix,
     PoseReset,
     Rejected,
@@ -111,6 +112,10 @@ class DiagnosticsReport:
     def rejected(self, rejected: Rejected) -> None:
         """Count a message that was refused for what it says."""
         self._reception.refused(rejected)
+
+    def passed_over(self, passed: PassedOver) -> None:
+        """Remember a message that says nothing about the sensor."""
+        self._reception.passed_over(passed)
 
     def dropped(self, message: TimeMessage, event: Event, now_ns: int) -> None:
         """Count an event that was refused for its stamp.

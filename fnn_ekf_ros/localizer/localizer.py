@@ -37,6 +37,7 @@ from fnn_ekf_ros.timeline.events import (
     Estimate,
     Event,
     Output,
+    PassedOver,
     PoseFix,
     PoseReset,
     Rejected,
@@ -142,6 +143,9 @@ class Localizer:
         if isinstance(events, Rejected):
             self._diagnostics.rejected(events)
             return Received(self.advance(now_ns), events)
+        if isinstance(events, PassedOver):
+            self._diagnostics.passed_over(events)
+            return Received(self.advance(now_ns))
         outputs = [output for event in events for output in self.add(event, now_ns)]
         return Received(outputs + self.advance(now_ns))
 

@@ -26,6 +26,7 @@ from fnn_ekf_ros.timeline.events import (
     CompassYaw,
     Event,
     InputCheck,
+    PassedOver,
     PoseFix,
     PoseReset,
     Rejected,
@@ -44,14 +45,16 @@ _A_COVARIANCE = (
 """Condition on a covariance, in words; diagonals in m^2 and rad^2."""
 
 
+MOST_NAMES = 8
+"""Largest number of joints that are listed."""
 _PLANAR_NUMBERS = np.arange(36).reshape(6, 6)[PLANAR]
 """Places of the covariances of x, y and yaw among 36 numbers, `(3, 3)`."""
 
 
 def read_input(
     topic: str, message: Any, receive_ns: int, parameters: LocalizerParameters
-) -> list[Event] | Rejected:
-    """Return the events in a message, or why it cannot be used.
+) -> list[Event] | Rejected | PassedOver:
+    """Return the events in a message, or why it has none.
 
     Args:
         topic: one of `input_topics`.
@@ -122,7 +125,9 @@ def planar_block(covariance: Any) -> FloatArray:
     return np.asarray(covariance, dtype=np.float64)[_PLANAR_NUMBERS]
 
 
-def _wheel_positions(message: Any, parameters: LocalizerParameters) -> list[Event] | Rejected:
+def _wheel_positions(
+    message: Any, parameters: LocalizerParameters
+) -> list[Event] | Rejected | PassedOver:
     names = list(message.name)
     events: list[Event] = []
     for wheel, joint in (
@@ -147,7 +152,11 @@ def _wheel_positions(message: Any, parameters: LocalizerParameters) -> list[Even
                 f"{LARGEST_POSITION:g} either way",
             )
         events.append(WheelCount(stamp_ns(message), wheel, position))
-    return events
+    return events or PassedOver(
+        Sensor.ENCODERS,
+        f"joint_states has the joints {_listed(names)}, expected '{parameters.left_joint}' "
+        f"(left_joint) and '{parameters.right_joint}' (right_joint)",
+    )
 
 
 def _measured_ns(message: Any, delay_s: float) -> int:
@@ -155,9 +164,13 @@ def _measured_ns(message: Any, delay_s: float) -> int:
     return stamp_ns(message) - round(delay_s * 1e9)
 
 
-def _compass_yaw(message: Any, parameters: LocalizerParameters) -> list[Event] | Rejected:
+def _compass_yaw(
+    message: Any, parameters: LocalizerParameters
+) -> list[Event] | Rejected | PassedOver:
     if message.orientation_covariance[0] == -1.0:
-        return []  # an IMU that says it has no orientation
+        return PassedOver(
+            Sensor.COMPASS, "the IMU says that it has no orientation (orientation_covariance is -1)"
+        )
     yaw = yaw_of(message.orientation)
     if yaw is None:
         return Rejected(
@@ -173,7 +186,8 @@ def _pose(
         return Rejected(
             Sensor.LRF_POSE,
             InputCheck.FRAME,
-            f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}'",
+            f"{topic} in frame {_short(message.header.frame_id)}, expected '{parameters.frame_id}' "
+            "(frame_id)",
         )
     pose = planar_pose(message)
     covariance = planar_block(message.pose.covariance)
@@ -239,6 +253,12 @@ def _pose_reset(
         )
     given_ns = stamp_ns(message)
     return [PoseReset(min(given_ns, receive_ns) if given_ns else receive_ns, pose, checked)]
+
+
+def _listed(names: list[str]) -> str:
+    """Return names that somebody gave, in one line and not too many for one."""
+    shown = [_short(name) for name in names[:MOST_NAMES]]
+    return ", ".join([*shown, "..."] if len(names) > MOST_NAMES else shown) or "(none)"
 
 
 def _short(text: str) -> str:

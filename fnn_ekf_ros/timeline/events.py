@@ -110,6 +110,18 @@ class Rejected(NamedTuple):
     reason: str
 
 
+class PassedOver(NamedTuple):
+    """An input that is right, but says nothing that the localizer could use.
+
+    Attributes:
+        sensor: under which diagnostics say so, until it has a reading.
+        reason: one clause with what it says and what was expected.
+    """
+
+    sensor: Sensor
+    reason: str
+
+
 Event = WheelCount | CompassYaw | PoseFix | PoseReset
 """Content of a message, with its stamp in ROS time."""
 

@@ -160,6 +160,24 @@ def report(factors: list[float], weights: list[float]) -> JointReport:
     )
 
 
+def test_what_a_sensor_sends_instead_is_said_until_it_has_a_reading() -> None:
+    localizer = make_localizer(encoder_source="joint_states")
+
+    def receive(second: int, *names: str) -> str | None:
+        joints = {"header": messages.header(second * 10**9, ""), "name": list(names)}
+        joints |= {key: np.zeros(len(names)) for key in ("position", "velocity", "effort")}
+        message = as_object(messages.Message(messages.JOINT_STATES_TYPE, joints))
+        localizer.receive(messages.JOINT_STATES, message, second * 10**9)
+        encoders = next(s for s in localizer.report() if s.name == "encoders")
+        return dict(encoders.values).get("passed over")
+
+    said = receive(1, "wheel_l", "wheel_r")
+    assert said is not None
+    assert "'wheel_l', 'wheel_r', expected 'left_wheel_joint' (left_joint)" in said
+    assert receive(2, "left_wheel_joint", "right_wheel_joint") is None
+    assert receive(3, "arm") is None
+
+
 def test_estimated_noise_is_put_into_words() -> None:
     words = dict(noise_in_words(report([2.1, 1.0, 0.2, 0.333], [0.1, 0.86, 0.03, 0.01])))
     assert words == {

@@ -17,6 +17,7 @@ from fnn_ekf_ros import messages
 from fnn_ekf_ros.core.arrays import FloatArray
 from fnn_ekf_ros.timeline.events import (
     CompassYaw,
+    PassedOver,
     PoseFix,
     PoseReset,
     Rejected,
@@ -102,8 +103,23 @@ def test_joints_are_found_by_name_and_carry_their_stamp() -> None:
     assert read(["l", "r"], [1.5, -2.5]) == [left, right]
     assert read(["arm", "r", "l"], [9.0, -2.5, 1.5]) == [left, right]
     assert read(["r", "arm"], [-2.5, 9.0]) == [right]
-    assert read(["arm"], [9.0]) == []
-    assert read([], []) == []
+
+
+@pytest.mark.parametrize(
+    ("names", "listed"),
+    [
+        (["arm"], "'arm'"),
+        ([], "(none)"),
+        (["a\nb", *"cdefghij"], r"'a\nb', 'c', 'd', 'e', 'f', 'g', 'h', 'i', ..."),
+    ],
+)
+def test_joints_that_are_none_of_the_wheels_are_listed(names: list[str], listed: str) -> None:
+    parameters = make_parameters(encoder_source="joint_states", left_joint="l", right_joint="r")
+    found = messages.read_input("joint_states", joints(names, [0.0] * len(names)), 1, parameters)
+    assert found == PassedOver(
+        Sensor.ENCODERS,
+        f"joint_states has the joints {listed}, expected 'l' (left_joint) and 'r' (right_joint)",
+    )
 
 
 @pytest.mark.parametrize(
@@ -175,8 +191,11 @@ def test_the_delay_of_a_sensor_is_subtracted_from_its_stamps() -> None:
 
 def test_an_imu_without_an_orientation_is_no_compass() -> None:
     nothing = quaternion(0.0, 0.0, 0.0, 0.0)
-    assert messages.read_input("compass", imu(nothing, -1.0), 1, make_parameters()) == []
-    assert messages.read_input("compass", imu(turned(1.0), -1.0), 1, make_parameters()) == []
+    for orientation in (nothing, turned(1.0)):
+        found = messages.read_input("compass", imu(orientation, -1.0), 1, make_parameters())
+        assert isinstance(found, PassedOver)
+        assert found.sensor is Sensor.COMPASS
+        assert "has no orientation" in found.reason
 
 
 @pytest.mark.parametrize("frame", ["x" * 10**6, "a\nb", "\x00", "\x1b[2J", "\u2028", "'"])
@@ -185,14 +204,15 @@ def test_any_frame_is_named_in_one_short_line(frame: str) -> None:
     reason = refused(found, Sensor.LRF_POSE)
     assert reason.isprintable()
     assert len(reason) < 150
-    assert reason.endswith(", expected 'map'")
+    assert reason.endswith(", expected 'map' (frame_id)")
 
 
 @pytest.mark.parametrize("topic", ["lrf_pose", "initialpose"])
 @pytest.mark.parametrize("frame", ["", "odom", "/map", "Map", "map "])
 def test_poses_in_foreign_frames_are_quarantined(topic: str, frame: str) -> None:
     found = messages.read_input(topic, pose_message(frame=frame), 1, make_parameters())
-    assert refused(found, Sensor.LRF_POSE) == f"{topic} in frame '{frame}', expected 'map'"
+    expected = f"{topic} in frame '{frame}', expected 'map' (frame_id)"
+    assert refused(found, Sensor.LRF_POSE) == expected
     taken = messages.read_input(
         topic, pose_message(frame="here"), 1, make_parameters(frame_id="here")
     )
