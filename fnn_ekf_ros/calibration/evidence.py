@@ -30,6 +30,8 @@ DEGREES = 180.0 / math.pi
 """Factor of a yaw in degrees that is taken for radians."""
 NARROW_YAW = 0.2
 """Range of a yaw in radians that is taken for degrees, 2 pi / 57.3 = 0.11, with noise [rad]."""
+NEARLY_ALL = 0.98
+"""Share of the readings that have to be in it: the others may be outliers."""
 UNIT_TOLERANCE = 1.4
 """Factor by which a yaw of another unit may differ from what is expected of it."""
 RANDOM_BELOW = 0.2
@@ -145,7 +147,8 @@ def _compass_source(
     Radians that are taken for degrees are all near 0. A yaw in degrees turns so fast that close
     readings do not tell by how much; the fit then begins with what it would be.
     """
-    if np.ptp(compass[:, 1]) < NARROW_YAW and _turns(travel, reference) > 1.0:
+    low, high = np.quantile(compass[:, 1], [0.5 - 0.5 * NEARLY_ALL, 0.5 + 0.5 * NEARLY_ALL])
+    if high - low < NARROW_YAW and _turns(travel, reference) > 1.0:
         scaled = averaged(compass * [1.0, DEGREES])[:MOST_READINGS]
         fit, track = fit_yaw(travel, scaled[:, 0], wrap_angle(scaled[:, 1]))
         if not _is_random(travel, scaled, fit.coefficients[:2]) and agrees(fit, reference, 1.0):

@@ -20,7 +20,7 @@ from fnn_ekf_ros.calibration.explanation import Explanation, explain
 from fnn_ekf_ros.calibration.findings import LEVEL, Certainty, Change, Finding, in_order
 from fnn_ekf_ros.calibration.geometry_findings import Context, compass_unit, geometry_findings
 from fnn_ekf_ros.calibration.robot import Number
-from fnn_ekf_ros.calibration.travel import WheelTravel, wheel_travel
+from fnn_ekf_ros.calibration.travel import WheelTravel, usual_interval, wheel_travel
 from fnn_ekf_ros.core.arrays import FloatArray
 
 FEWEST_COUNTS = 10.0
@@ -129,11 +129,12 @@ def examine(drive: Drive, configured: Mapping[str, Any]) -> Examined:
     )
     if len(travel.times) < FEWEST_WHEEL_READINGS:
         return Examined(in_order([*findings, _too_short(drive)]))
-    return _compared(readings, configured, findings)
+    interval_s = usual_interval(*(counter.readings[:, 0] for counter in counters))
+    return _compared(readings, interval_s, configured, findings)
 
 
 def _compared(
-    readings: Readings, configured: Mapping[str, Any], findings: list[Finding]
+    readings: Readings, interval_s: float, configured: Mapping[str, Any], findings: list[Finding]
 ) -> Examined:
     """Return what wheels, fixes and compass say of each other, beside what was found already."""
     meters, separation = meters_per_count(configured), float(configured["wheel_separation"])
@@ -147,7 +148,6 @@ def _compared(
         return Examined(in_order([*findings, _one_rate()]), evidence)
     if explanation is None:
         return Examined(in_order([*findings, *compass_unit(evidence)]), evidence)
-    interval_s = float(np.median(np.diff(readings.travel.times)))
     context = Context(configured, evidence, explanation, interval_s)
     long_s = float(readings.travel.times[-1] - readings.travel.times[0])
     found = told_findings(context, long_s)

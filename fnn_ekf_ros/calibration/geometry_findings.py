@@ -30,8 +30,8 @@ SAMPLED = 1.0
 """Smallest delay as a part of the time between two readings of a wheel: speeds that are sampled
 once in an interval, or read late in it, are off by up to that."""
 SLOWEST_WHEELS_S = 0.5
-"""Longest usual time between two readings of a wheel [s]: in more, a robot turns unevenly, and what
-is interpolated looks like delays and, in a short drive, like wrong sizes."""
+"""Longest usual time between two readings of a wheel [s]: a robot turns unevenly within a longer
+one, and what is interpolated looks like delays and, in a short drive, like wrong sizes."""
 NEAR = 0.12
 """Part by which a factor may differ from one that is typical of a mistake."""
 COUNT_FACTORS = (4.0, 2.0, 0.5, 0.25)

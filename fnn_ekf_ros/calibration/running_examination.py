@@ -15,19 +15,13 @@ from fnn_ekf_ros.calibration.examination import (
     FEWEST_COUNTS,
     FEWEST_WHEEL_READINGS,
     GROSS,
+    SIZES,
     STILL_RAD,
     meters_per_count,
     random_compass,
     told_findings,
 )
-from fnn_ekf_ros.calibration.explanation import (
-    AS_CONFIGURED,
-    CHEAPEST,
-    Explanation,
-    Hypothesis,
-    explain,
-    fit_of,
-)
+from fnn_ekf_ros.calibration.explanation import CHEAPEST, Explanation, explain, fit_of
 from fnn_ekf_ros.calibration.findings import (
     CERTAIN_ODDS,
     NUMBER_ODDS,
@@ -42,10 +36,10 @@ from fnn_ekf_ros.calibration.geometry_findings import (
     Context,
     compass_unit,
 )
+from fnn_ekf_ros.calibration.reading_buffers import Buffers
 from fnn_ekf_ros.calibration.rotation import EXPLAINED
-from fnn_ekf_ros.calibration.travel import WheelTravel, wheel_travel
+from fnn_ekf_ros.calibration.travel import usual_interval, wheel_travel
 from fnn_ekf_ros.calibration.yaw_blocks import BLOCK_S, MARGIN_S, Segment, YawBlocks
-from fnn_ekf_ros.core.arrays import FloatArray
 
 WAIT_S = 0.5
 """Time for which readings of a block are waited for [s]."""
@@ -67,15 +61,19 @@ RENEWED_BLOCKS = 6
 LASTING_GAIN = 2.0
 """Log likelihood by which a finding has to explain each half of the blocks better than the
 configuration does [nats]: what begins while driving is a fault, not a mistake."""
-SPACING_S = {"left": 0.02, "right": 0.02, "compass": 0.02, "fixes": 0.1}
-"""Shortest time between two readings that are kept [s]: nothing changes much within it."""
 LEAST_TOLD_DELAY_S = LEAST_DELAY_S + 0.15
 """Delay that has to be exceeded significantly [s]: a robot that is steered by its true position
 seems to be late by up to 0.15 s."""
 LARGEST_TOLD_DELAY_S = 1.0
 """Largest delay that is told [s]: errors that last lead to the ends of what is looked for."""
-OF_FIX_YAW = ("fix_yaw_offset", "fix_yaw_clockwise")
-"""Findings about the yaw of the fixes."""
+DELAYS = {"compass_delay", "fix_delay"}
+"""Findings about delays."""
+ALIKE = 2.0
+"""Difference of two delays, in standard errors, up to which they are taken for one."""
+LEAST_DELAY_STD_S = 0.02
+"""Smallest standard error of a delay that is believed [s]: half a fast sensor's interval."""
+UNKNOWN = 1e4
+"""Standard error of coefficients that are not known, over their size."""
 LONGEST_SILENCE_S = 10.0 * BLOCK_S
 """Time without a look at the clock after which blocks begin anew [s]."""
 
@@ -85,34 +83,6 @@ _OVER = object()
 T = TypeVar("T")
 Parts = Generator[None, None, T]
 """Work that is done in parts, each of some milliseconds, and its result."""
-
-
-class Buffers:
-    """Readings of the blocks that are not over yet, each as a row that begins with its stamp."""
-
-    def __init__(self) -> None:
-        self._rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in SPACING_S}
-
-    def add(self, name: str, row: tuple[float, ...]) -> None:
-        """Keep a reading; of a fast sensor not each."""
-        rows = self._rows[name]
-        if not rows or abs(row[0] - rows[-1][0]) >= SPACING_S[name]:
-            rows.append(row)
-
-    @property
-    def count(self) -> int:
-        """Number of readings."""
-        return sum(map(len, self._rows.values()))
-
-    def table(self, name: str, width: int) -> FloatArray:
-        """Return the readings `(n, width)` in the order of their stamps, each stamp once."""
-        table = np.array(self._rows[name], dtype=np.float64).reshape(-1, width)
-        return table[np.unique(table[:, 0], return_index=True)[1]]
-
-    def forget_before(self, time_s: float) -> None:
-        """Drop the readings that are stamped before an instant [s]."""
-        for name, rows in self._rows.items():
-            self._rows[name] = [row for row in rows if row[0] >= time_s]
 
 
 class RunningExamination:
@@ -127,17 +97,18 @@ class RunningExamination:
         self._meters = meters_per_count(configured)
         self._separation = float(configured["wheel_separation"])
         expected = np.array([0.0, 2.0 * self._meters / self._separation])
-        self._nothing: Sequence[Hypothesis] = ((AS_CONFIGURED, ()),)
-        if not configured["lrf_use_yaw"]:
-            unused = ("fix_yaw_offset",)
-            self._nothing = tuple((AS_CONFIGURED._replace(fix_yaw=s), unused) for s in (1, -1))
         self._still = FEWEST_COUNTS if configured["encoder_source"] == "ticks" else STILL_RAD
         self._buffers = Buffers()
         self._compass, self._fix_yaw = YawBlocks(expected), YawBlocks(expected)
+        self._used = [self._compass, self._fix_yaw]
+        if not configured["lrf_use_yaw"]:
+            self._used.pop()
         self._begin_s: float | None = None
         self._interval_s = math.nan
         self._explanation: Explanation | None = None
-        self._seen = self._renewed_at = self._stood = self._over = 0
+        self._seen = self._renewed_at = self._driven = 0
+        self.examined = False
+        """Whether the robot drove for long enough to judge it by each sensor that it has."""
         self._work: Parts[None] | None = None
         self.findings: tuple[Finding, ...] = ()
 
@@ -159,8 +130,7 @@ class RunningExamination:
     def fix(self, time_s: float, x: float, y: float, yaw: float) -> None:
         """Take a fix in, as the localizer would use it [s, m, m, rad].
 
-        A yaw that is not used is evidence, too: it shows late fixes four times as well as positions
-        do. Nothing is found about such a yaw.
+        Of a yaw that is not used only its delay is evidence, where it is that of the positions.
         """
         self._buffers.add("fixes", (time_s, x, y, yaw))
 
@@ -186,7 +156,8 @@ class RunningExamination:
             is_over = True
         if is_over:
             self._work = None
-            self._over += 1
+            begun = any(0 < len(blocks) < FEWEST_BLOCKS for blocks in self._used)
+            self.examined = self._driven >= FEWEST_BLOCKS and not begun
 
     def _look_at(self, begin_s: float, end_s: float) -> Parts[None]:
         """Take a block in, and find out what is wrong after it."""
@@ -197,11 +168,11 @@ class RunningExamination:
         fixes = segment.inside(segment.fixes)
         if len(fixes) and float(np.max(np.ptp(fixes[:, 1:3], axis=0))) < 0.01:
             fixes = fixes[:0]
+        self._seen += 1
         self._compass.add(segment, segment.compass, fixes)
         yield
         with_yaw = segment.fixes[np.isfinite(segment.fixes[:, 3])]
         self._fix_yaw.add(segment, with_yaw[:, [0, 3]], fixes)
-        self._seen += 1
         yield from self._judged()
 
     def _forget_all_but(self, blocks: int) -> None:
@@ -214,20 +185,18 @@ class RunningExamination:
     def _segment(self, begin_s: float, end_s: float) -> Segment | None:
         """Return the readings of a block; None if the robot did not move in it."""
         left, right = self._buffers.table("left", 2), self._buffers.table("right", 2)
+        if min(len(left), len(right)) < 2 or np.ptp(left, 0)[1] + np.ptp(right, 0)[1] < self._still:
+            return None
+        self._driven += 1
+        self._interval_s = usual_interval(left[:, 0], right[:, 0])
         if min(len(left), len(right)) < FEWEST_WHEEL_READINGS // 2:
             return None
         travel = wheel_travel(left, right)
-        if _moved(travel) < self._still:
-            self._stood += 1
-            return None
-        if len(travel.times) < FEWEST_WHEEL_READINGS // 2:
-            return None
-        self._interval_s = float(np.median(np.diff(travel.times)))
-        if self._interval_s > SLOWEST_WHEELS_S:
+        if len(travel.times) < FEWEST_WHEEL_READINGS // 2 or self._interval_s > SLOWEST_WHEELS_S:
             return None
         compass, fixes = self._buffers.table("compass", 2), self._buffers.table("fixes", 4)
         return Segment(
-            begin_s, end_s, travel,
+            self._seen + 1, begin_s, end_s, travel,
             compass[travel.covers(compass[:, 0])], fixes[travel.covers(fixes[:, 0])],
         )  # fmt: skip
 
@@ -236,19 +205,32 @@ class RunningExamination:
         """Numbers of blocks and of readings that are kept."""
         return max(len(self._compass), len(self._fix_yaw)), self._buffers.count
 
-    @property
-    def examined(self) -> bool:
-        """Whether enough of the drive was looked at for a mistake to be found, if that can be."""
-        return self._over - self._stood >= FEWEST_BLOCKS
-
-    def evidence(self, which: slice = slice(None)) -> Evidence:
-        """Return what some of the blocks say, or all of them."""
+    def evidence(self, which: range | None = None) -> Evidence:
+        """Return what blocks with some numbers say; None: all of them."""
         compass, random = self._compass.source(which)
-        return _together(compass, random, self._fix_yaw.source(which)[0])
+        return self._together(compass, random, self._fix_yaw.source(which)[0])
+
+    def _together(
+        self, compass: YawSource | None, random: bool, fix_yaw: YawSource | None
+    ) -> Evidence:
+        if compass is None or fix_yaw is None:
+            return Evidence(compass, fix_yaw if self._fix_yaw in self._used else None, random)
+        if self._fix_yaw in self._used:
+            return Evidence(_of_one_slip(compass), _of_one_slip(fix_yaw), random)
+        return Evidence(compass, _delay_alone(fix_yaw, compass), random)
+
+    def _numbers(self) -> list[int]:
+        """Return the numbers of the blocks in which each sensor has readings that is used.
+
+        Of those in which one has, if there are too few.
+        """
+        numbers = [set(blocks.numbers) for blocks in self._used]
+        each = set.intersection(*numbers)
+        return sorted(each if len(each) >= FEWEST_BLOCKS else set.union(*numbers))
 
     def _judged(self) -> Parts[None]:
         """Find out what is wrong after a block."""
-        blocks = max(len(self._compass), len(self._fix_yaw))
+        blocks = max(map(len, self._used))
         later = self._seen > EACH_BLOCKS and self._seen % JUDGED_BLOCKS
         if blocks < FEWEST_BLOCKS or later:
             return
@@ -272,11 +254,11 @@ class RunningExamination:
         """
         compass, random = self._compass.source()
         yield
-        evidence = _together(compass, random, self._fix_yaw.source()[0])
+        evidence = self._together(compass, random, self._fix_yaw.source()[0])
         if evidence.random_compass:
-            for half in self._halves():
+            for half in _halves(self._compass.numbers):
                 yield
-                if not self.evidence(half).random_compass:
+                if not self._compass.source(half)[1]:
                     return (), None
             return (random_compass(),), None
         unit = yield from self._lasting_unit(evidence)
@@ -287,11 +269,11 @@ class RunningExamination:
         if explanation is None:
             return unit, None
         context = Context(self._configured, evidence, explanation, self._interval_s)
-        found = [
-            each
-            for each in told_findings(context, long_s)
-            if _is_told(each, context) and each.name != "compass_degrees"
-        ]
+        possible = [e for e in told_findings(context, long_s) if e.name != "compass_degrees"]
+        found = [each for each in possible if _is_told(each, context)]
+        sure = {each.name for each in possible if each.certainty is Certainty.CERTAIN}
+        if (sure - {each.name for each in found}) & DELAYS:  # sizes come out wrong beside them
+            found = [each for each in found if each.name not in SIZES]
         if not found or not (yield from self._lasts(explanation)):
             return unit, None
         return in_order([*unit, *found]), explanation
@@ -300,7 +282,7 @@ class RunningExamination:
         """Return the compass's wrong unit, if it has one in each half of the blocks."""
         unit = compass_unit(evidence)
         if unit:
-            for half in self._halves():
+            for half in _halves(self._compass.numbers):
                 yield
                 if compass_unit(self.evidence(half)) != unit:
                     return ()
@@ -308,47 +290,43 @@ class RunningExamination:
 
     def _fit(self, evidence: Evidence, explanation: Explanation | None = None) -> float:
         """Return the log likelihood of an explanation; None: that all is as configured [nats]."""
-        hypotheses = self._nothing
-        if explanation is not None:
-            hypotheses = ((explanation.wiring, explanation.free),)
-        return max(
-            fit_of(evidence, self._meters, self._separation, wiring, free)
-            for wiring, free in hypotheses
+        if explanation is None:
+            return fit_of(evidence, self._meters, self._separation)
+        return fit_of(
+            evidence, self._meters, self._separation, explanation.wiring, explanation.free
         )
 
-    def _halves(self) -> tuple[slice, slice]:
-        half = max(len(self._compass), len(self._fix_yaw)) // 2
-        return slice(0, half), slice(half, None)
+    def _gains(self, evidence: Evidence, explanation: Explanation, nats: float) -> bool:
+        """Return whether an explanation is better than the configuration by that much."""
+        gain = self._fit(evidence, explanation) - self._fit(evidence)
+        return gain >= nats  # not, if neither is possible
 
     def _lasts(self, explanation: Explanation) -> Parts[bool]:
         """Return whether an explanation is better than the configuration in each half."""
-        for half in self._halves():
+        for half in _halves(self._numbers()):
             yield
-            evidence = self.evidence(half)
-            if self._fit(evidence, explanation) - self._fit(evidence) < LASTING_GAIN:
+            if not self._gains(self.evidence(half), explanation, LASTING_GAIN):
                 return False
         return True
 
     def _is_over(self) -> bool:
         """Return whether the newest blocks contradict the findings."""
-        evidence = self.evidence(slice(-RECENT_BLOCKS, None))
+        numbers = self._numbers()
+        evidence = self.evidence(range(numbers[-min(RECENT_BLOCKS, len(numbers))], self._seen + 1))
         if self._explanation is None:
             return not evidence.random_compass and not compass_unit(evidence)
-        return self._fit(evidence, self._explanation) - self._fit(evidence) < OVER_GAIN
+        return not self._gains(evidence, self._explanation, OVER_GAIN)
 
 
 def _is_told(finding: Finding, context: Context) -> bool:
     """Return whether a finding is told while driving.
 
     Numbers have to be certain: a drive is looked at again and again. A delay has to be large,
-    and wheels have to explain the sensor well: instruments are weak where they slip much. A yaw
-    that is not used has no mistakes.
+    and wheels have to explain the sensor well: instruments are weak where they slip much.
     """
     if finding.certainty is Certainty.POSSIBLE or finding.name in UNTOLD:
         return False
-    if finding.name in OF_FIX_YAW and not context.configured["lrf_use_yaw"]:
-        return False
-    if not finding.name.endswith("_delay"):
+    if finding.name not in DELAYS:
         return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
     if finding.certainty is not Certainty.CERTAIN or _explained(finding, context) < EXPLAINED:
         return False
@@ -368,10 +346,30 @@ def _explained(finding: Finding, context: Context) -> float:
     return 0.0 if best is None or best.displacement is None else best.displacement.explained
 
 
-def _together(compass: YawSource | None, random: bool, fix_yaw: YawSource | None) -> Evidence:
-    if compass is not None and fix_yaw is not None:
-        compass, fix_yaw = _of_one_slip(compass), _of_one_slip(fix_yaw)
-    return Evidence(compass, fix_yaw, random)
+def _halves(numbers: Sequence[int]) -> tuple[range, range]:
+    """Return the numbers of the first half of some blocks, and of the second one."""
+    if not numbers:
+        return range(0), range(0)
+    middle = numbers[len(numbers) // 2]
+    return range(numbers[0], middle), range(middle, numbers[-1] + 1)
+
+
+def _delay_alone(fix_yaw: YawSource, compass: YawSource) -> YawSource | None:
+    """Return a yaw of the fixes that says nothing but their delay; None if it has another one.
+
+    Where the yaw is not used it may come from anywhere: of wheels and directions it is no evidence.
+    """
+    fixes = compass.displacement
+    if fixes is None or not fix_yaw.usable:
+        return None
+    coefficients = fix_yaw.fit.coefficients
+    variance = max(float(fix_yaw.fit.covariance[2, 2]), LEAST_DELAY_STD_S**2)
+    together = math.sqrt(variance + fixes.covariance[3, 3])
+    if abs(coefficients[2] - fixes.coefficients[3]) > ALIKE * together:
+        return None
+    any_rotation = (UNKNOWN * np.max(np.abs(coefficients[:2]))) ** 2
+    covariance = np.diag([any_rotation, any_rotation, variance])
+    return YawSource(fix_yaw.fit._replace(covariance=covariance), compass.turned)
 
 
 def _of_one_slip(source: YawSource) -> YawSource:
@@ -382,7 +380,3 @@ def _of_one_slip(source: YawSource) -> YawSource:
     scale = np.sqrt([2.0, 2.0, 1.0])
     covariance = source.fit.covariance * np.outer(scale, scale)
     return source._replace(fit=source.fit._replace(covariance=covariance))
-
-
-def _moved(travel: WheelTravel) -> float:
-    return float(np.sum(np.abs(np.diff(travel.counts, axis=0))))

@@ -49,6 +49,16 @@ class WheelTravel(NamedTuple):
         return np.asarray((times >= self.times[0]) & (times <= self.times[-1]))
 
 
+def usual_interval(left: FloatArray, right: FloatArray) -> float:
+    """Return the usual time between two readings of a wheel, of the slower one [s].
+
+    Args:
+        left: `(n,)` stamps of the left wheel, rising [s].
+        right: `(k,)` of the right one.
+    """
+    return max(float(np.median(np.diff(stamps))) for stamps in (left, right))
+
+
 def wheel_travel(left: FloatArray, right: FloatArray) -> WheelTravel:
     """Return the travel of two wheels.
 

@@ -35,6 +35,7 @@ from fnn_ekf_ros.calibration.evidence import (
     DEGREES,
     FEWEST_READINGS,
     NARROW_YAW,
+    NEARLY_ALL,
     RANDOM_BELOW,
     YawSource,
     agrees,
@@ -66,8 +67,10 @@ stands, drives straight on, or the sensor is frozen."""
 CHANCE = 2.5
 """Mean resultant length that random directions rarely exceed, times the root of their number."""
 NARROW_TURN = 1.2
-"""Rotation by the wheels within two blocks in which a yaw that stays near 0 is one in radians taken
-for degrees [rad]: less than a corner, more than wheels slip."""
+"""Rotation by the wheels in two blocks in which a yaw that stays near 0 may be one in radians taken
+for degrees [rad]: less than a corner."""
+DIRECTION = 0.5
+"""Share of the fixes' changes that wheels explain along a yaw from which on it is a direction."""
 UNIT_MARGIN = 0.2
 """Length by which changes of a yaw have to be more alike if it is in degrees."""
 _FACTORS = (1.0, DEGREES, -DEGREES)
@@ -78,13 +81,15 @@ class Segment(NamedTuple):
     """Readings of a block, as configured; those of wheels and yaw reach beyond both ends.
 
     Attributes:
+        number: of the block.
         begin_s: of the block [s].
         end_s: of the block [s].
         travel: of the wheels.
         compass: `(n, 2)` stamps, yaw [s, rad].
-        fixes: `(k, 4)` stamps, x, y, yaw [s, m, m, rad]; NaN yaw where it is not used.
+        fixes: `(k, 4)` stamps, x, y, yaw [s, m, m, rad]; NaN yaw where there is none.
     """
 
+    number: int
     begin_s: float
     end_s: float
     travel: WheelTravel
@@ -101,6 +106,7 @@ class YawBlock(NamedTuple):
     """What a block says of a yaw sensor.
 
     Attributes:
+        number: of the block.
         rotation: sums of the yaw against the wheels.
         displacement: sums of the fixes against the wheels in the direction of the yaw; None: there
             were too few of them, or the yaw is no direction.
@@ -111,6 +117,7 @@ class YawBlock(NamedTuple):
         delay_s: that was taken off the yaw's stamps for the displacement [s].
     """
 
+    number: int
     rotation: BlockSums
     displacement: BlockSums | None
     changes: NumberArray
@@ -131,6 +138,18 @@ class _End(NamedTuple):
     level: Level
 
 
+class _NearZero(NamedTuple):
+    """A block in which the yaw was near 0.
+
+    Attributes:
+        end_s: its end [s].
+        turned: `(n,)` rotation by the wheels up to its last reading [rad].
+    """
+
+    end_s: float
+    turned: FloatArray
+
+
 class YawBlocks:
     """The blocks of one yaw sensor.
 
@@ -143,7 +162,7 @@ class YawBlocks:
         self._blocks: deque[YawBlock] = deque(maxlen=MOST_BLOCKS)
         self._ends: dict[str, _End] = {}
         self._narrow = False
-        self._near_0: FloatArray | None = None
+        self._near_0: _NearZero | None = None
         self._known: YawFit | None = None
         self._moved_known: NumberArray | None = None
         self._ratios = [USUAL_RATIO, USUAL_RATIO]
@@ -158,6 +177,8 @@ class YawBlocks:
         if not blocks:
             self._ends.clear()
             self._known = None
+            self._near_0 = None
+            self._ratios = [USUAL_RATIO, USUAL_RATIO]
 
     def add(self, segment: Segment, readings: FloatArray, fixes: FloatArray) -> None:
         """Take a block in.
@@ -196,6 +217,7 @@ class YawBlocks:
             displacement = self._displacement_sums(segment.travel, track, fixes)
         self._blocks.append(
             YawBlock(
+                segment.number,
                 rotation,
                 displacement,
                 np.array([np.sum(each) for each in changes]),
@@ -205,13 +227,19 @@ class YawBlocks:
             )
         )
 
-    def source(self, which: slice = slice(None)) -> tuple[YawSource | None, bool]:
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the blocks, rising."""
+        return [block.number for block in self._blocks]
+
+    def source(self, which: range | None = None) -> tuple[YawSource | None, bool]:
         """Return what blocks say, and whether the yaw is random.
 
         Args:
-            which: of the blocks; of all of them what was found is kept for the blocks to come.
+            which: numbers of the blocks; None: all of them, and what is found is kept for the
+                blocks to come.
         """
-        blocks = list(self._blocks)[which]
+        blocks = [each for each in self._blocks if which is None or each.number in which]
         rotations = [block.rotation for block in blocks]
         if sum(sums.readings for sums in rotations) < FEWEST_READINGS:
             return None, False
@@ -219,59 +247,74 @@ class YawBlocks:
         random_below = max(RANDOM_BELOW, CHANCE / math.sqrt(max(close, 1)))
         lengths = np.abs(sum(block.changes for block in blocks)) / max(close, 1)
         fit = rotation_of_blocks(rotations, float(np.mean([each.delay_s for each in blocks])))
-        if which == slice(None):
+        if which is None:
             self._known = self._shrunk(fit)
             self._ratios[0] = likeliest_ratio(rotations)
         turned = max(block.turned for block in blocks)
         if not _well_known(fit.coefficients[:2], fit.covariance) and close:
-            return None, bool(np.max(lengths) < random_below)
-        if self._narrow:
+            return None, bool(np.max(lengths) < random_below) and not self._narrow
+        if self._narrow:  # if it does not fit, the yaw was near 0 on a straight road
             fits = lengths[0] >= random_below and agrees(fit, self._expected, 1.0)
-            return (YawSource(fit, turned, factor=1.0 / DEGREES) if fits else None), not fits
+            return (YawSource(fit, turned, factor=1.0 / DEGREES) if fits else None), False
         place = int(np.argmax(lengths - [0.0, UNIT_MARGIN, UNIT_MARGIN]))
         if lengths[place] < random_below:
             return None, True
-        if place > 0 or agrees(fit, self._expected, DEGREES):
+        if place > 0:
             return YawSource(fit, turned, factor=DEGREES), False
+        return self._along(fit, turned, blocks, keep=which is None), False
+
+    def _along(
+        self, fit: YawFit, turned: float, blocks: list[YawBlock], *, keep: bool
+    ) -> YawSource | None:
+        """Return a yaw with what fixes say along it; None if they contradict it.
+
+        Args:
+            fit: of it.
+            turned: range of directions by it [rad].
+            blocks: those in question.
+            keep: whether what is found is kept for the blocks to come.
+        """
+        in_degrees = agrees(fit, self._expected, DEGREES)
         moved = [each.displacement for each in blocks if each.displacement is not None]
         if sum(sums.readings for sums in moved) < FEWEST_READINGS:
-            return YawSource(fit, turned), False
+            return YawSource(fit, turned, factor=DEGREES if in_degrees else 1.0)
         displacement, handedness = displacement_of_blocks(moved)
+        if in_degrees and displacement.explained < DIRECTION:  # wheels may be wrong by 60, too
+            return YawSource(fit, turned, factor=DEGREES)
         if not _well_known(displacement.coefficients[:2], displacement.covariance):
-            return None, False
-        if which == slice(None):
+            return None
+        if keep:
             self._ratios[1] = likeliest_ratio(moved)
-        return YawSource(fit, turned, displacement, handedness), False
+        return YawSource(fit, turned, displacement, handedness)
 
     def _look_at_unit(self, segment: Segment, inside: FloatArray) -> None:
         """Find out whether the yaw is so near 0 that it is one in radians taken for degrees."""
         by_wheels = segment.travel.mean_and_half_difference(inside[:, 0]) @ self._expected
         last, self._near_0 = self._near_0, None
-        near_0 = float(np.max(np.abs(inside[:, 1]))) < NARROW_YAW
+        near_0 = float(np.quantile(np.abs(inside[:, 1]), NEARLY_ALL)) < NARROW_YAW
         if near_0:
-            self._near_0 = by_wheels - by_wheels[-1]
-            if last is not None:
-                by_wheels = np.concatenate([last + by_wheels[0], by_wheels])
+            self._near_0 = _NearZero(segment.end_s, by_wheels - by_wheels[-1])
+            if last is not None and last.end_s == segment.begin_s:
+                by_wheels = np.concatenate([last.turned + by_wheels[0], by_wheels])
         if self._narrow and not near_0:
             self._narrow = False
         elif not self._narrow and near_0 and float(np.ptp(by_wheels)) > NARROW_TURN:
             self._narrow = True
         else:
             return
-        self._blocks.clear()
-        self._ends.clear()
-        self._known = None
-        self._ratios = [USUAL_RATIO, USUAL_RATIO]
+        kept, self._near_0 = self._near_0, None
+        self.forget_all_but(0)
+        self._near_0 = kept
 
     def _unknown(self) -> FloatArray:
-        """Return the `(2,)` coefficients of which nothing is known.
+        """Return the `(2,)` coefficients that are assumed before any is known.
 
-        None, but for radians taken for degrees: they are recognized by the configuration.
+        They are 0, or the configured ones for radians that are taken for degrees.
         """
         return self._expected if self._narrow else np.zeros(2)
 
     def _shrunk(self, fit: YawFit) -> YawFit:
-        """Return a fit without what may as well be 0.
+        """Return a fit in which coefficients that may as well be 0 are the assumed ones.
 
         A robot that drove straight on tells no coefficient, and one that turned at one rate only
         their sum. What is known wrongly unwraps the next turns wrongly, and then seems to be known

@@ -135,9 +135,25 @@ def test_wheels_that_are_read_too_seldom_show_no_delay_for_sure() -> None:
     given = drive(1, 120.0)
     late = given._replace(compass=np.add(given.compass, [1.2, 0.0]))
     seldom = late._replace(left=late.left[::14], right=late.right[::14])
-    for each, certainty in ((late, Certainty.CERTAIN), (seldom, Certainty.POSSIBLE)):
+    in_turn = late._replace(left=late.left[::14], right=late.right[7::14])
+    for each, certainty in (
+        (late, Certainty.CERTAIN), (seldom, Certainty.POSSIBLE), (in_turn, Certainty.POSSIBLE)
+    ):  # fmt: skip
         (finding,) = examine(each, parameters()).findings
         assert (finding.name, finding.certainty) == ("compass_delay", certainty)
+
+
+@pytest.mark.parametrize("each_s", [0.1, 0.02])
+def test_one_outlier_does_not_hide_radians(each_s: float) -> None:
+    given = drive(2, 120.0)
+    times = np.arange(0.2, 119.0, each_s)
+    true = np.interp(times, given.compass[:, 0], np.unwrap(given.compass[:, 1]))
+    yaw = np.radians(np.remainder(true + np.pi, 2.0 * np.pi) - np.pi)
+    yaw[len(yaw) // 2] = 0.5
+    (finding,) = serious(
+        examine(given._replace(compass=np.column_stack([times, yaw])), parameters())
+    )
+    assert finding.name == "compass_degrees"
 
 
 def test_swapped_ticks_are_put_right_by_remapping() -> None:

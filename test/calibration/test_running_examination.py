@@ -15,6 +15,7 @@ from fnn_ekf_ros.calibration.drift_regression import Drift, filtered
 from fnn_ekf_ros.calibration.examination import Drive, examine
 from fnn_ekf_ros.calibration.running_examination import RunningExamination
 from fnn_ekf_ros.calibration.yaw_blocks import MOST_BLOCKS, YawBlocks
+from fnn_ekf_ros.core.arrays import FloatArray
 
 LONG_S = 60.0
 """Length of the drives: within a minute mistakes are named [s]."""
@@ -152,32 +153,65 @@ def test_a_sensor_that_is_not_used_is_not_told() -> None:
     assert names(examined(turned, lrf_use_yaw=True)) == ["fix_yaw_offset"]
 
 
+def slipping(seed: int, duration_s: float = LONG_S) -> Drive:
+    return drive(seed, duration_s, slip=(0.03, 0.03), compass_std=0.1)
+
+
+def with_fix_yaw(given: Drive, yaw: FloatArray) -> Drive:
+    wrapped = np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi
+    return given._replace(fixes=np.column_stack([given.fixes[:, :3], wrapped]))
+
+
 def test_a_yaw_of_the_fixes_that_is_not_used_shows_how_late_they_are() -> None:
-    given = drive(2, LONG_S, slip=(0.05, 0.05), compass_std=0.13)
-    late = given._replace(fixes=np.add(given.fixes, [0.5, 0.0, 0.0, 0.0]))
+    late = slipping(2)._replace(fixes=np.add(slipping(2).fixes, [0.5, 0.0, 0.0, 0.0]))
     widths = []
-    for yaw in (0.0, 0.6, np.nan):
-        changed = np.add(late.fixes, [0.0, 0.0, 0.0, yaw])
-        (finding,) = examined(late._replace(fixes=changed)).findings
+    for yaw in (0.0, 0.6, np.pi, np.nan):
+        (finding,) = examined(with_fix_yaw(late, late.fixes[:, 3] + yaw)).findings
         assert finding.name == "fix_delay"
         (change,) = finding.changes
         assert change.value == pytest.approx(0.5, abs=0.1)
         widths.append(change.high - change.low)
-    assert widths[0] == pytest.approx(widths[1], rel=0.05)
-    assert max(widths[:2]) < 0.7 * widths[2]
+    assert widths[:3] == pytest.approx(widths[:1] * 3, rel=0.05)
+    assert widths[0] < 0.75 * widths[3]
 
 
-def test_a_finding_is_over_although_a_yaw_that_is_not_used_is_wrong() -> None:
-    given = drive(6, 220.0)
-    given = given._replace(fixes=np.add(given.fixes, [0.0, 0.0, 0.0, 0.6]))
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_late_yaw_of_the_fixes_does_not_make_their_positions_late(seed: int) -> None:
+    given = slipping(seed, 100.0)
+    true = drive(seed, 100.0, slip=(0.03, 0.03), compass_std=0.0).compass
+    noise = 0.1 * np.random.default_rng(9).standard_normal(len(given.fixes))
+    late = np.interp(given.fixes[:, 0] - 0.6, true[:, 0], np.unwrap(true[:, 1])) + noise
+    assert names(examined(with_fix_yaw(given, late))) == []
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_yaw_that_is_not_used_does_not_hide_what_is_wrong(sign: float) -> None:
+    """Such as one that the fixes take from the wheels, by the same wrong separation."""
+    given = slipping(2)
+    left, right = (np.interp(given.fixes[:, 0], *wheel.T) for wheel in (given.left, given.right))
+    wide = 1.25 * SEPARATION
+    yaw = sign * (right - left) * 2.0 * np.pi * RADIUS / COUNTS / wide
+    (finding,) = examined(with_fix_yaw(given, yaw), wheel_separation=wide).findings
+    assert finding.name == "wheel_separation"
+    swapped = given._replace(left=given.right, right=given.left)
+    backward = with_fix_yaw(swapped, sign * given.fixes[:, 3] + np.pi)
+    assert names(examined(backward)) == ["wheels_swapped"]
+
+
+def test_a_finding_is_over_although_a_yaw_that_is_not_used_is_wrong_or_ends() -> None:
+    given = slipping(6, 220.0)
+    given = with_fix_yaw(given, given.fixes[:, 3] + 0.6)
     turned = with_compass(given, lambda yaw: yaw + 0.8)
     late = given.compass[:, 0] >= 80.0
     turned.compass[late] = given.compass[late]
+    ending = turned._replace(fixes=turned.fixes.copy())
+    ending.fixes[ending.fixes[:, 0] > 80.0, 3] = np.nan
     values = parameters()
-    examination = RunningExamination(values)
-    told = [names(examination) for _ in feed(examination, turned, values)]
-    assert ["compass_offset"] in told
-    assert told[-1] == []
+    for each in (turned, ending):
+        examination = RunningExamination(values)
+        told = [names(examination) for _ in feed(examination, each, values)]
+        assert ["compass_offset"] in told
+        assert told[-1] == []
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -186,6 +220,101 @@ def test_radians_taken_for_degrees_are_told_beside_a_yaw_of_the_fixes(seed: int)
     given = given._replace(compass=given.compass * [1.0, np.pi / 180.0])
     for used in (False, True):
         assert names(examined(given, lrf_use_yaw=used)) == ["compass_degrees"]
+
+
+def test_radians_are_told_beside_another_mistake() -> None:
+    given = drive(2, LONG_S)
+    given = given._replace(compass=given.compass * [1.0, np.pi / 180.0])
+    given = given._replace(fixes=given.fixes * [1.0, 1e3, 1e3, 1.0])
+    assert set(names(examined(given, lrf_use_yaw=True))) == {"compass_degrees", "fix_unit"}
+
+
+def test_one_outlier_does_not_hide_radians() -> None:
+    values, given = parameters(), drive(2, 140.0)
+    given = given._replace(compass=given.compass * [1.0, np.pi / 180.0])
+    given.compass[np.searchsorted(given.compass[:, 0], 100.0), 1] = 0.5
+    examination = RunningExamination(values)
+    told = [names(examination) for _ in feed(examination, given, values)]
+    first = told.index(["compass_degrees"])
+    assert all(each == ["compass_degrees"] for each in told[first:])
+
+
+def corridor(seed: int, ratio: float) -> Drive:
+    """Return a drive straight on along the x axis with wheels that differ by a factor."""
+    rng = np.random.default_rng(seed)
+    times = 0.05 * np.arange(1, 1801)
+    travelled = 0.5 * times * COUNTS / (2.0 * np.pi * RADIUS)
+    some, few = times[::2], times[::8]
+    positions = np.column_stack([0.5 * few, np.zeros(len(few))])
+    positions += 0.1 * rng.standard_normal(positions.shape)
+    return Drive(
+        np.column_stack([times, np.floor(travelled)]),
+        np.column_stack([times, np.floor(travelled / ratio)]),
+        np.column_stack([some, 0.05 * rng.standard_normal(len(some))]),
+        np.column_stack([few, positions, np.full(len(few), np.nan)]),
+    )
+
+
+@pytest.mark.parametrize("ratio", [1.03, 1.07, 0.93])
+def test_a_right_compass_on_a_straight_road_is_not_random(ratio: float) -> None:
+    """The wheels seem to turn the robot; its compass, near 0 all the time, does not say so."""
+    values, given = parameters(), corridor(1, ratio)
+    examination = RunningExamination(values)
+    for time in feed(examination, given, values):
+        assert not examination.findings, time
+
+
+def test_a_compass_that_starts_late_is_judged_by_its_own_readings() -> None:
+    values, given = parameters(lrf_use_yaw=True), drive(3, 200.0)
+    turned = with_compass(given, lambda yaw: 0.5 * np.pi - yaw)
+    late = turned._replace(compass=turned.compass[turned.compass[:, 0] > 100.0])
+    examination = RunningExamination(values)
+    told = [t for t in feed(examination, late, values) if names(examination)]
+    assert told[0] < 160.0
+    assert names(examination) == ["compass_clockwise"]
+
+
+def test_a_separation_in_centimeters_is_no_compass_in_degrees() -> None:
+    """With a robot that turns 80 times as far as its wheels say, either could be."""
+    given = drive(2, 100.0, slip=(0.05, 0.05), compass_std=0.13)
+    values = parameters(wheel_separation=65.0 * SEPARATION)
+    examination = RunningExamination(values)
+    told = [names(examination) for _ in feed(examination, given, values)]
+    assert told[-1] == ["wheel_separation"]
+    assert ["compass_degrees"] not in told
+
+
+def stand(examination: RunningExamination, each_s: float, jitter: float) -> None:
+    """Let wheels send the same for a minute, but for one count."""
+    for k in range(round(60.0 / each_s)):
+        for side in ("left", "right"):
+            examination.wheel(side, k * each_s, 5.0 + jitter * (k % 2))
+        examination.advance(k * each_s)
+
+
+def test_a_drive_is_examined_after_four_blocks_of_driving() -> None:
+    values, given = parameters(), drive(2, LONG_S)
+    examination = RunningExamination(values)
+    first = next(t for t in feed(examination, given, values) if examination.examined)
+    assert 36.0 < first < 40.0
+    for each_s, jitter in ((0.1, 0.0), (0.1, 1.0), (1.3, 0.0), (1.3, 1.0)):
+        standing = RunningExamination(values)
+        stand(standing, each_s, jitter)
+        assert not standing.examined
+    seldom = RunningExamination(values)  # which is driving, though nothing is found in it
+    for _ in feed(seldom, given._replace(left=given.left[::26], right=given.right[::26]), values):
+        pass
+    assert seldom.examined
+
+
+def test_a_compass_that_begins_is_not_examined_yet() -> None:
+    values, given = parameters(), drive(2, 120.0)
+    late = given._replace(compass=given.compass[given.compass[:, 0] > 60.0])
+    examination = RunningExamination(values)
+    seen = {round(t): examination.examined for t in feed(examination, late, values)}
+    assert seen[50]
+    assert not seen[80]
+    assert seen[119]
 
 
 def test_what_begins_while_driving_is_no_mistake() -> None:

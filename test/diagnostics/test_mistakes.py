@@ -23,6 +23,7 @@ from fnn_ekf_ros.diagnostics.mistakes import (
     Mistakes,
     filter_messages,
     with_mistakes,
+    without_remedy,
 )
 from fnn_ekf_ros.localizer.localizer import Localizer
 from fnn_ekf_ros.membership.files import networks_for
@@ -73,6 +74,11 @@ def test_a_sensor_is_warn_with_what_puts_it_right() -> None:
     assert filter_messages((SLOW_COUNTS, INVERTED)) == [
         fill(FilterMessage.MISTAKE, sensor="encoders")
     ]
+
+
+def test_a_status_without_its_remedy_keeps_the_rest() -> None:
+    told = Status("compass", Level.WARN, "off", (("yaw offset [rad]", "1"), (FITTING, "x: 1")))
+    assert without_remedy(told) == told._replace(values=(("yaw offset [rad]", "1"),))
 
 
 def test_a_fault_comes_before_a_mistake_and_other_sensors_stay_as_they_are() -> None:

@@ -20,6 +20,8 @@ from fnn_ekf_ros.timeline.events import Level, Status
 
 SLIP = next(iter(SLIPS))
 WHEELS = (("mistake", "x"), ("parameter that would fit", "wheel_radius: 0.02"))
+SYMPTOM = (("parameter that would fit", "wheel_radius: 0.02"),)
+WRONG_SYMPTOM = (("parameter that would fit", "compass_offset: 0.5"),)
 OTHER = (("mistake", "y"), ("parameter that would fit", "wheel_separation: 0.5"))
 
 
@@ -38,6 +40,8 @@ def report(time_s: float, values: tuple[tuple[str, str], ...], compass: Level) -
          3.0, (), ()),
         ([report(1, WHEELS, Level.OK), report(2, WHEELS, Level.WARN)], 1.0, ("compass",), ()),
         ([report(1, OTHER, Level.OK)], math.nan, (), ("said",)),
+        ([report(1, SYMPTOM, Level.OK)], 1.0, (), ()),
+        ([report(1, WRONG_SYMPTOM, Level.OK)], math.nan, (), ("said",)),
     ],
 )  # fmt: skip
 def test_a_mistake_counts_as_named_from_when_it_stays(
