@@ -66,8 +66,8 @@ STILL = 0.01
 stands, drives straight on, or the sensor is frozen."""
 CHANCE = 2.5
 """Mean resultant length that random directions rarely exceed, times the root of their number."""
-NARROW_TURN = 1.2
-"""Rotation by the wheels in two blocks in which a yaw that stays near 0 may be one in radians taken
+NARROW_TURN = 1.0
+"""Rotation by the wheels in a block from which on a yaw that stays near 0 may be in radians taken
 for degrees [rad]: less than a corner."""
 DIRECTION = 0.5
 """Share of the fixes' changes that wheels explain along a yaw from which on it is a direction."""
@@ -138,18 +138,6 @@ class _End(NamedTuple):
     level: Level
 
 
-class _NearZero(NamedTuple):
-    """A block in which the yaw was near 0.
-
-    Attributes:
-        end_s: its end [s].
-        turned: `(n,)` rotation by the wheels up to its last reading [rad].
-    """
-
-    end_s: float
-    turned: FloatArray
-
-
 class YawBlocks:
     """The blocks of one yaw sensor.
 
@@ -162,7 +150,6 @@ class YawBlocks:
         self._blocks: deque[YawBlock] = deque(maxlen=MOST_BLOCKS)
         self._ends: dict[str, _End] = {}
         self._narrow = False
-        self._near_0: _NearZero | None = None
         self._known: YawFit | None = None
         self._moved_known: NumberArray | None = None
         self._ratios = [USUAL_RATIO, USUAL_RATIO]
@@ -177,7 +164,6 @@ class YawBlocks:
         if not blocks:
             self._ends.clear()
             self._known = None
-            self._near_0 = None
             self._ratios = [USUAL_RATIO, USUAL_RATIO]
 
     def add(self, segment: Segment, readings: FloatArray, fixes: FloatArray) -> None:
@@ -198,12 +184,12 @@ class YawBlocks:
             return
         inside = self._with_last("rotation", inside)
         moved = segment.travel.mean_and_half_difference(inside[:, 0])
-        slope = self._unknown() if self._known is None else self._known.coefficients[:2]
+        slope = np.zeros(2) if self._known is None else self._known.coefficients[:2]
         unwrapped = unwrapped_beside(np.asarray(wrap_angle(inside[:, 1])), moved @ slope)
         rotation = self._rotation_sums(segment.travel, inside, unwrapped)
         if len(self._blocks) < PROVISIONAL_BLOCKS:
             sums = [*(block.rotation for block in self._blocks), rotation]
-            self._known = self._shrunk(rotation_of_blocks(sums, 0.0))
+            self._known = _shrunk(rotation_of_blocks(sums, 0.0))
             self._ratios[0] = likeliest_ratio(sums)
         assert self._known is not None
         slope = self._known.coefficients[:2]
@@ -248,7 +234,7 @@ class YawBlocks:
         lengths = np.abs(sum(block.changes for block in blocks)) / max(close, 1)
         fit = rotation_of_blocks(rotations, float(np.mean([each.delay_s for each in blocks])))
         if which is None:
-            self._known = self._shrunk(fit)
+            self._known = _shrunk(fit)
             self._ratios[0] = likeliest_ratio(rotations)
         turned = max(block.turned for block in blocks)
         if not _well_known(fit.coefficients[:2], fit.covariance) and close:
@@ -290,39 +276,14 @@ class YawBlocks:
     def _look_at_unit(self, segment: Segment, inside: FloatArray) -> None:
         """Find out whether the yaw is so near 0 that it is one in radians taken for degrees."""
         by_wheels = segment.travel.mean_and_half_difference(inside[:, 0]) @ self._expected
-        last, self._near_0 = self._near_0, None
         near_0 = float(np.quantile(np.abs(inside[:, 1]), NEARLY_ALL)) < NARROW_YAW
-        if near_0:
-            self._near_0 = _NearZero(segment.end_s, by_wheels - by_wheels[-1])
-            if last is not None and last.end_s == segment.begin_s:
-                by_wheels = np.concatenate([last.turned + by_wheels[0], by_wheels])
         if self._narrow and not near_0:
             self._narrow = False
         elif not self._narrow and near_0 and float(np.ptp(by_wheels)) > NARROW_TURN:
             self._narrow = True
         else:
             return
-        kept, self._near_0 = self._near_0, None
         self.forget_all_but(0)
-        self._near_0 = kept
-
-    def _unknown(self) -> FloatArray:
-        """Return the `(2,)` coefficients that are assumed before any is known.
-
-        They are 0, or the configured ones for radians that are taken for degrees.
-        """
-        return self._expected if self._narrow else np.zeros(2)
-
-    def _shrunk(self, fit: YawFit) -> YawFit:
-        """Return a fit in which coefficients that may as well be 0 are the assumed ones.
-
-        A robot that drove straight on tells no coefficient, and one that turned at one rate only
-        their sum. What is known wrongly unwraps the next turns wrongly, and then seems to be known
-        well.
-        """
-        unsure = np.abs(fit.coefficients) < KNOWN * np.sqrt(np.diag(fit.covariance))
-        instead = np.array([*self._unknown(), 0.0])
-        return fit._replace(coefficients=np.where(unsure, instead, fit.coefficients))
 
     def _with_last(self, kind: str, readings: FloatArray) -> FloatArray:
         """Return readings with the last one of the block before in front, if it is known still."""
@@ -392,3 +353,14 @@ _MIDDLE = [len(NODES_S) // 2, len(NODES_S) + len(NODES_S) // 2]
 def _well_known(coefficients: FloatArray, covariance: FloatArray) -> bool:
     stds = np.sqrt(np.diag(covariance)[: len(coefficients)])
     return bool(np.max(np.abs(coefficients) / stds) > WELL_KNOWN)
+
+
+def _shrunk(fit: YawFit) -> YawFit:
+    """Return a fit without coefficients that may as well be 0.
+
+    A robot that drove straight on tells none, and one that turned at one rate only their sum. What
+    is known wrongly unwraps the next turns wrongly, and then seems to be known well.
+    """
+    found = fit.coefficients.copy()
+    found[np.abs(found) < KNOWN * np.sqrt(np.diag(fit.covariance))] = 0.0
+    return fit._replace(coefficients=found)

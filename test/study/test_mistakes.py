@@ -58,6 +58,24 @@ def test_a_mistake_counts_as_named_from_when_it_stays(
     assert told.in_time is not math.isnan(named_s)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mistake", "slip", "by_s"),
+    [
+        # The yaw of fixes is not used, and instruments tell its delay hardly: least squares do.
+        ("fixes_late", 1, 60.0),
+        # Averages of radians across the wrap are nothing.
+        ("compass_radians", 0, 50.0),
+    ],
+)
+def test_what_takes_longest_is_told_in_time(mistake: str, slip: int, by_s: float) -> None:
+    name = list(SLIPS)[slip]
+    robot = FakeRobotParameters(path="square", seed=1, slip_std=SLIPS[name])
+    told = follow_mistake(mistake, name, robot, 63.0, {})
+    assert told.named_s < by_s
+    assert not told.wrong
+
+
 def test_the_table_has_a_row_for_each_mistake_and_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(told_mistakes, "_reports", lambda *_: iter([report(5, WHEELS, Level.OK)]))
     told = [
