@@ -159,7 +159,12 @@ def told_findings(context: Context, long_s: float) -> list[Finding]:
     rotation = _rotation(context.evidence)
     found = geometry_findings(context)
     if long_s < SETTLED_S:
-        found = [_as_of_a_short_drive(finding, context.configured) for finding in found]
+        found = [
+            finding._replace(certainty=Certainty.POSSIBLE)
+            if is_small(finding, context.configured)
+            else finding
+            for finding in found
+        ]
     if rotation < LEAST_ROTATION:
         found = [finding for finding in found if finding.name not in NEED_TURNS]
         found.append(_straight(rotation))
@@ -181,18 +186,18 @@ def _at_one_rate(travel: WheelTravel) -> bool:
     return len(steps) > 1 and bool(math.sqrt(max(float(alike[0]), 0.0)) < ONE_RATE)
 
 
-def _as_of_a_short_drive(finding: Finding, configured: Mapping[str, Any]) -> Finding:
-    """Return a finding; one of a small difference is only possible."""
+def is_small(finding: Finding, configured: Mapping[str, Any]) -> bool:
+    """Return whether a finding is about a number that is off by less than `GROSS`."""
     if finding.name not in GROSS:
-        return finding
+        return False
     for change in finding.changes:
         value, now = float(change.value), float(configured[change.parameter])
         apart = abs(value - now)
         if finding.name in SIZES:
             apart = max(value / now, now / value)
         if apart >= GROSS[finding.name]:
-            return finding
-    return finding._replace(certainty=Certainty.POSSIBLE)
+            return False
+    return True
 
 
 def meters_per_count(configured: Mapping[str, Any]) -> float:

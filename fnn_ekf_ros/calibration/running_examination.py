@@ -17,6 +17,7 @@ from fnn_ekf_ros.calibration.examination import (
     GROSS,
     SIZES,
     STILL_RAD,
+    is_small,
     meters_per_count,
     random_compass,
     told_findings,
@@ -39,6 +40,7 @@ from fnn_ekf_ros.calibration.geometry_findings import (
 from fnn_ekf_ros.calibration.reading_buffers import Buffers
 from fnn_ekf_ros.calibration.rotation import EXPLAINED
 from fnn_ekf_ros.calibration.travel import usual_interval, wheel_travel
+from fnn_ekf_ros.calibration.two_yaws import delay_alone, of_one_slip
 from fnn_ekf_ros.calibration.yaw_blocks import BLOCK_S, MARGIN_S, Segment, YawBlocks
 
 WAIT_S = 0.5
@@ -68,12 +70,6 @@ LARGEST_TOLD_DELAY_S = 1.0
 """Largest delay that is told [s]: errors that last lead to the ends of what is looked for."""
 DELAYS = {"compass_delay", "fix_delay"}
 """Findings about delays."""
-ALIKE = 2.0
-"""Difference of two delays, in standard errors, up to which they are taken for one."""
-LEAST_DELAY_STD_S = 0.02
-"""Smallest standard error of a delay that is believed [s]: half a fast sensor's interval."""
-UNKNOWN = 1e4
-"""Standard error of coefficients that are not known, over their size."""
 LONGEST_SILENCE_S = 10.0 * BLOCK_S
 """Time without a look at the clock after which blocks begin anew [s]."""
 
@@ -153,11 +149,17 @@ class RunningExamination:
                 is_over = next(self._work, _OVER) is _OVER
         except (ArithmeticError, np.linalg.LinAlgError):  # numbers of no robot
             self._forget_all_but(0)
+            self._driven = 0
             is_over = True
         if is_over:
             self._work = None
-            begun = any(0 < len(blocks) < FEWEST_BLOCKS for blocks in self._used)
+            begun = any(map(self._has_begun, self._used))
             self.examined = self._driven >= FEWEST_BLOCKS and not begun
+
+    def _has_begun(self, blocks: YawBlocks) -> bool:
+        """Return whether a sensor has readings in too few blocks yet, the last of them included."""
+        few = 0 < len(blocks) < FEWEST_BLOCKS
+        return few and blocks.numbers[-1] > self._seen - FEWEST_BLOCKS
 
     def _look_at(self, begin_s: float, end_s: float) -> Parts[None]:
         """Take a block in, and find out what is wrong after it."""
@@ -216,8 +218,8 @@ class RunningExamination:
         if compass is None or fix_yaw is None:
             return Evidence(compass, fix_yaw if self._fix_yaw in self._used else None, random)
         if self._fix_yaw in self._used:
-            return Evidence(_of_one_slip(compass), _of_one_slip(fix_yaw), random)
-        return Evidence(compass, _delay_alone(fix_yaw, compass), random)
+            return Evidence(of_one_slip(compass), of_one_slip(fix_yaw), random)
+        return Evidence(compass, delay_alone(fix_yaw, compass), random)
 
     def _numbers(self) -> list[int]:
         """Return the numbers of the blocks in which each sensor has readings that is used.
@@ -271,9 +273,8 @@ class RunningExamination:
         context = Context(self._configured, evidence, explanation, self._interval_s)
         possible = [e for e in told_findings(context, long_s) if e.name != "compass_degrees"]
         found = [each for each in possible if _is_told(each, context)]
-        sure = {each.name for each in possible if each.certainty is Certainty.CERTAIN}
-        if (sure - {each.name for each in found}) & DELAYS:  # sizes come out wrong beside them
-            found = [each for each in found if each.name not in SIZES]
+        if any(_is_hidden(each, context) for each in possible):
+            found = [e for e in found if e.name not in SIZES or not is_small(e, self._configured)]
         if not found or not (yield from self._lasts(explanation)):
             return unit, None
         return in_order([*unit, *found]), explanation
@@ -328,13 +329,24 @@ def _is_told(finding: Finding, context: Context) -> bool:
         return False
     if finding.name not in DELAYS:
         return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
-    if finding.certainty is not Certainty.CERTAIN or _explained(finding, context) < EXPLAINED:
+    if finding.certainty is not Certainty.CERTAIN or _is_hidden(finding, context):
         return False
     (change,) = finding.changes
     now = float(context.configured[change.parameter])
-    low, high = sorted(abs(end - now) for end in (change.low, change.high))
     same_side = (change.low > now) == (change.high > now)
-    return same_side and low > LEAST_TOLD_DELAY_S and 0.5 * (low + high) <= LARGEST_TOLD_DELAY_S
+    return same_side and min(abs(change.low - now), abs(change.high - now)) > LEAST_TOLD_DELAY_S
+
+
+def _is_hidden(finding: Finding, context: Context) -> bool:
+    """Return whether a finding is a sure delay that may be something else, and is not told.
+
+    Beside such a delay, of a compass on slipping wheels, a right separation seemed off by a third.
+    """
+    if finding.name not in DELAYS or finding.certainty is not Certainty.CERTAIN:
+        return False
+    (change,) = finding.changes
+    size = abs(float(change.value) - float(context.configured[change.parameter]))
+    return size > LARGEST_TOLD_DELAY_S or _explained(finding, context) < EXPLAINED
 
 
 def _explained(finding: Finding, context: Context) -> float:
@@ -352,31 +364,3 @@ def _halves(numbers: Sequence[int]) -> tuple[range, range]:
         return range(0), range(0)
     middle = numbers[len(numbers) // 2]
     return range(numbers[0], middle), range(middle, numbers[-1] + 1)
-
-
-def _delay_alone(fix_yaw: YawSource, compass: YawSource) -> YawSource | None:
-    """Return a yaw of the fixes that says nothing but their delay; None if it has another one.
-
-    Where the yaw is not used it may come from anywhere: of wheels and directions it is no evidence.
-    """
-    fixes = compass.displacement
-    if fixes is None or not fix_yaw.usable:
-        return None
-    coefficients = fix_yaw.fit.coefficients
-    variance = max(float(fix_yaw.fit.covariance[2, 2]), LEAST_DELAY_STD_S**2)
-    together = math.sqrt(variance + fixes.covariance[3, 3])
-    if abs(coefficients[2] - fixes.coefficients[3]) > ALIKE * together:
-        return None
-    any_rotation = (UNKNOWN * np.max(np.abs(coefficients[:2]))) ** 2
-    covariance = np.diag([any_rotation, any_rotation, variance])
-    return YawSource(fix_yaw.fit._replace(covariance=covariance), compass.turned)
-
-
-def _of_one_slip(source: YawSource) -> YawSource:
-    """Return one of two sensors' yaws, which see the same slip: together they count as one.
-
-    That holds for the wheels; each sensor has a delay of its own.
-    """
-    scale = np.sqrt([2.0, 2.0, 1.0])
-    covariance = source.fit.covariance * np.outer(scale, scale)
-    return source._replace(fit=source.fit._replace(covariance=covariance))

@@ -31,12 +31,14 @@ class Reception:
         self._last_refusal: dict[Sensor, str] = {}
         self._new_refusal: dict[Sensor, str] = {}
         self._passed_over: dict[Sensor, str] = {}
+        self._came: set[Sensor] = set()
         self._left_out: Counter[Sensor] = Counter()
         self._newly_left_out: Counter[Sensor] = Counter()
 
     def heard(self, sensor: Sensor, stamp_ns: int) -> None:
         """Count a reading with its stamp [ns]."""
         self._count[sensor] += 1
+        self._came.add(sensor)
         self._last_ns[sensor] = max(stamp_ns, self._last_ns.get(sensor, 0))
         if sensor is Sensor.LRF_POSE:
             self._stood_ns = 0
@@ -48,8 +50,13 @@ class Reception:
     def refused(self, rejected: Rejected) -> None:
         """Count a message that was refused for what it says."""
         self._refused[rejected.sensor] += 1
+        self._came.add(rejected.sensor)
         self._new_refusal[rejected.sensor] = fill(InputMessage.REFUSED, check=rejected.check)
         self._last_refusal[rejected.sensor] = rejected.reason
+
+    def dropped(self, sensor: Sensor) -> None:
+        """Remember that a reading came, whose stamp was refused."""
+        self._came.add(sensor)
 
     def passed_over(self, passed: PassedOver) -> None:
         """Remember why a message says nothing about a sensor."""
@@ -118,7 +125,7 @@ class Reception:
         )
         if sensor in self._last_refusal:
             values += ((LAST_REFUSAL, self._last_refusal[sensor]),)
-        if sensor in self._passed_over and not self._count[sensor]:
+        if sensor in self._passed_over and sensor not in self._came:
             values += ((PASSED_OVER, self._passed_over[sensor]),)
         if self._left_out[sensor]:
             values += (

@@ -125,7 +125,10 @@ class DiagnosticsReport:
             event: as it was stamped.
             now_ns: ROS time at which it arrived [ns].
         """
-        self._time.dropped(message, _sensor_of(event), now_ns - event.stamp_ns)
+        sensor = _sensor_of(event)
+        if sensor is not None:
+            self._reception.dropped(sensor)
+        self._time.dropped(message, sensor, now_ns - event.stamp_ns)
 
     def overran(self, seconds: float) -> None:
         """Count a delay of more than a period [s]."""

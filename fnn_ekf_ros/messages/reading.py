@@ -45,7 +45,7 @@ _A_COVARIANCE = (
 """Condition on a covariance, in words; diagonals in m^2 and rad^2."""
 
 
-MOST_NAMES = 8
+MOST_NAMES = 16
 """Largest number of joints that are listed."""
 _PLANAR_NUMBERS = np.arange(36).reshape(6, 6)[PLANAR]
 """Places of the covariances of x, y and yaw among 36 numbers, `(3, 3)`."""

@@ -175,13 +175,19 @@ def test_a_yaw_of_the_fixes_that_is_not_used_shows_how_late_they_are() -> None:
     assert widths[0] < 0.75 * widths[3]
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 0.8])
 @pytest.mark.parametrize("seed", [2, 3])
-def test_a_late_yaw_of_the_fixes_does_not_make_their_positions_late(seed: int) -> None:
+def test_a_late_yaw_of_the_fixes_does_not_make_their_positions_late(
+    seed: int, noise_m: float
+) -> None:
     given = slipping(seed, 100.0)
+    more = noise_m * np.random.default_rng(seed).standard_normal((len(given.fixes), 2))
+    given.fixes[:, 1:3] += more
     true = drive(seed, 100.0, slip=(0.03, 0.03), compass_std=0.0).compass
     noise = 0.1 * np.random.default_rng(9).standard_normal(len(given.fixes))
-    late = np.interp(given.fixes[:, 0] - 0.6, true[:, 0], np.unwrap(true[:, 1])) + noise
-    assert names(examined(with_fix_yaw(given, late))) == []
+    for late_s in (0.3, 0.6):
+        late = np.interp(given.fixes[:, 0] - late_s, true[:, 0], np.unwrap(true[:, 1])) + noise
+        assert names(examined(with_fix_yaw(given, late))) == []
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -305,6 +311,29 @@ def test_a_drive_is_examined_after_four_blocks_of_driving() -> None:
     for _ in feed(seldom, given._replace(left=given.left[::26], right=given.right[::26]), values):
         pass
     assert seldom.examined
+
+
+@pytest.mark.parametrize("late_s", [0.25, 1.2])
+def test_a_gross_size_is_told_beside_a_delay_that_is_not(late_s: float) -> None:
+    given = slipping(2)
+    late = given._replace(compass=np.add(given.compass, [late_s, 0.0]))
+    (finding,) = examined(late, wheel_radius=2.0 * RADIUS).findings
+    assert finding.name == "meters_per_count"
+
+
+def test_a_size_is_told_beside_a_delay_that_is_too_small_to_tell() -> None:
+    given = slipping(3)
+    late = given._replace(compass=np.add(given.compass, [0.25, 0.0]))
+    assert names(examined(late, wheel_separation=1.25 * SEPARATION)) == ["wheel_separation"]
+
+
+def test_a_compass_that_ended_soon_does_not_hinder_the_examination() -> None:
+    values, given = parameters(), drive(2, 90.0)
+    ended = given._replace(compass=given.compass[given.compass[:, 0] < 20.0])
+    examination = RunningExamination(values)
+    seen = {round(t): examination.examined for t in feed(examination, ended, values)}
+    assert not seen[45]  # it may be late only
+    assert seen[89]
 
 
 def test_a_compass_that_begins_is_not_examined_yet() -> None:

@@ -178,6 +178,19 @@ def test_what_a_sensor_sends_instead_is_said_until_it_has_a_reading() -> None:
     assert receive(3, "arm") is None
 
 
+def test_other_joints_are_no_reason_if_readings_of_the_wheels_are_dropped_or_refused() -> None:
+    for position, late_s in ((0.0, 60), (np.nan, 0)):
+        localizer = make_localizer(encoder_source="joint_states")
+        for names_, value, behind in ((["arm"], 0.0, 0), (["left_wheel_joint"], position, late_s)):
+            joints = {"header": messages.header((100 - behind) * 10**9, ""), "name": names_}
+            joints |= {key: np.array([value]) for key in ("position", "velocity", "effort")}
+            message = as_object(messages.Message(messages.JOINT_STATES_TYPE, joints))
+            localizer.advance(100 * 10**9)
+            localizer.receive(messages.JOINT_STATES, message, 100 * 10**9)
+        encoders = next(s for s in localizer.report() if s.name == "encoders")
+        assert "passed over" not in dict(encoders.values)
+
+
 def test_estimated_noise_is_put_into_words() -> None:
     words = dict(noise_in_words(report([2.1, 1.0, 0.2, 0.333], [0.1, 0.86, 0.03, 0.01])))
     assert words == {
