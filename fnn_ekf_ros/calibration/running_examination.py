@@ -66,6 +66,14 @@ configuration does [nats]: what begins while driving is a fault, not a mistake."
 LEAST_TOLD_DELAY_S = LEAST_DELAY_S + 0.15
 """Delay that has to be exceeded significantly [s]: a robot that is steered by its true position
 seems to be late by up to 0.15 s."""
+ROTATIONS = ("wheel_separation", "wheel_ratio")
+"""Findings about sizes that follow from rotations."""
+YAW_EXPLAINED = 0.7
+"""Share of a yaw's changes that wheels have to explain for sizes to be told that are not off by
+much: where they explain less, instruments are weak, and standard errors are too small."""
+PATH_EXPLAINED = 0.6
+"""Share of the fixes' changes that wheels and yaw have to explain for their delay to be told: less
+than of a yaw's changes, because paths are compared without instruments."""
 LARGEST_TOLD_DELAY_S = 1.0
 """Largest delay that is told [s]: errors that last lead to the ends of what is looked for."""
 DELAYS = {"compass_delay", "fix_delay"}
@@ -327,6 +335,11 @@ def _is_told(finding: Finding, context: Context) -> bool:
     """
     if finding.certainty is Certainty.POSSIBLE or finding.name in UNTOLD:
         return False
+    if finding.name in ROTATIONS and is_small(finding, context.configured):
+        sources = (context.evidence.compass, context.evidence.fix_yaw)
+        shares = [each.fit.explained for each in sources if each is not None]
+        if max(shares, default=0.0) < YAW_EXPLAINED:
+            return False
     if finding.name not in DELAYS:
         return finding.certainty is Certainty.CERTAIN or finding.name not in GROSS
     if finding.certainty is not Certainty.CERTAIN or _is_hidden(finding, context):
@@ -346,16 +359,18 @@ def _is_hidden(finding: Finding, context: Context) -> bool:
         return False
     (change,) = finding.changes
     size = abs(float(change.value) - float(context.configured[change.parameter]))
-    return size > LARGEST_TOLD_DELAY_S or _explained(finding, context) < EXPLAINED
+    return size > LARGEST_TOLD_DELAY_S or not _is_explained(finding, context)
 
 
-def _explained(finding: Finding, context: Context) -> float:
-    """Return the share of a sensor's changes that wheels explain, for a delay of it."""
+def _is_explained(finding: Finding, context: Context) -> bool:
+    """Return whether wheels explain a sensor well enough for a delay of it to be told."""
     evidence = context.evidence
     if finding.name == "compass_delay":
-        return 0.0 if evidence.compass is None else evidence.compass.fit.explained
+        return evidence.compass is not None and evidence.compass.fit.explained >= EXPLAINED
     best = evidence.best
-    return 0.0 if best is None or best.displacement is None else best.displacement.explained
+    if best is None or best.displacement is None:
+        return False
+    return best.displacement.explained >= PATH_EXPLAINED
 
 
 def _halves(numbers: Sequence[int]) -> tuple[range, range]:

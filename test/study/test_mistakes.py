@@ -76,6 +76,14 @@ def test_what_takes_longest_is_told_in_time(mistake: str, slip: int, by_s: float
     assert not told.wrong
 
 
+@pytest.mark.slow
+def test_wheels_that_explain_little_of_the_yaw_show_no_small_size() -> None:
+    """Gentle curves and much slip: the standard error of the ratio comes out too small."""
+    slip = list(SLIPS)[1]
+    robot = FakeRobotParameters(path="figure_eight", seed=46, slip_std=SLIPS[slip])
+    assert not follow_mistake(NOTHING, slip, robot, 63.0, {}).wrong
+
+
 def test_the_table_has_a_row_for_each_mistake_and_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(told_mistakes, "_reports", lambda *_: iter([report(5, WHEELS, Level.OK)]))
     told = [
