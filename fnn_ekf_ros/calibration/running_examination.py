@@ -230,9 +230,9 @@ class RunningExamination:
         return Evidence(compass, delay_alone(fix_yaw, compass), random)
 
     def _numbers(self) -> list[int]:
-        """Return the numbers of the blocks in which each sensor has readings that is used.
+        """Return the numbers of the blocks in which all used sensors have readings.
 
-        Of those in which one has, if there are too few.
+        If there are too few of them, those of the blocks in which any used sensor has readings.
         """
         numbers = [set(blocks.numbers) for blocks in self._used]
         each = set.intersection(*numbers)
