@@ -14,6 +14,7 @@ off by a constant (`compass_offset`). The estimate is the mixture of the members
 Q and R are those that joint adaptation learns; they describe what of the errors is white.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +71,9 @@ from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 
 UNKNOWN_VARIANCE = 1e4
 """Variance of a yaw offset that is not known, as good as no reading [rad^2]."""
+GIVEN_YAW_STD = math.radians(15.0)
+"""Smallest standard deviation that the witness believes of a yaw that somebody sets [rad]; RViz
+says the same of what is set by hand."""
 _CYCLES = (len(HORIZONS_S), PHASES, MEMBER_COUNT)
 _UNKNOWN_SHARE = float(weights_of(start_outages(()).log_weight) @ FIXES_LAST)
 """Weight of the members whose fix errors last before anything is known, 0.09."""
@@ -189,14 +193,23 @@ def start_lasting(
     return _estimated(state, state.bank)
 
 
-def moved(state: LastingState, pose: Bank) -> LastingState:
-    """Return the state at another pose `(3, 1, *batch)`, with what was learned.
+def moved(state: LastingState, pose: Bank, *, is_given: bool = False) -> LastingState:
+    """Return the state at another pose, with what was learned.
 
     The errors are as uncertain as in the long run, but for the compass's offset, which is kept.
+
+    Args:
+        state: before.
+        pose: `(3, 1, *batch)`.
+        is_given: whether it is somebody's word, which is no proof against the compass: the witness
+            believes its yaw no better than `GIVEN_YAW_STD`.
     """
     bank = at_pose(pose, error_variances(state.fix_variance), from_readings=False)
-    k = Component.YAW_OFFSET
+    k, yaw = Component.YAW_OFFSET, Component.YAW
     bank.mean[k, WITNESS], bank.covariance[k, k, WITNESS] = offset_of(state.bank)
+    if is_given:
+        variance = np.maximum(pose.covariance[yaw, yaw, 0], GIVEN_YAW_STD**2)
+        bank.covariance[yaw, yaw, WITNESS] = variance
     return _at_new_pose(state, bank)
 
 

@@ -17,6 +17,7 @@ from fnn_ekf_ros.core.filter import fuse
 from fnn_ekf_ros.core.gate import OPEN_GATE
 from fnn_ekf_ros.core.lasting.augmented import ERRORS, POSE, Component
 from fnn_ekf_ros.core.lasting.lasting import (
+    GIVEN_YAW_STD,
     LastingState,
     after_instant,
     after_readings,
@@ -189,6 +190,19 @@ def test_move_keeps_what_was_learned() -> None:
     expected = error_variances(state.fix_variance)
     expected[3, [WITNESS, ANTIPODE]] = state.bank.covariance[k, k, WITNESS]
     np.testing.assert_allclose(diagonal_of(found.bank.covariance)[ERRORS], expected)
+
+
+@pytest.mark.parametrize("std", [0.01, 0.6])
+def test_witness_does_not_trust_a_given_yaw_more_than_a_hand_can_set_it(std: float) -> None:
+    """Or a wrong yaw that is said to be exact would accuse the compass."""
+    state = of_two_robots()
+    pose = Bank(np.ones((3, 1, 2)), std**2 * np.eye(3)[:, :, None, None] * np.ones(2))
+    k = Component.YAW
+    variance = diagonal_of(moved(state, pose, is_given=True).bank.covariance)[k]
+    np.testing.assert_allclose(variance[WITNESS], max(std, GIVEN_YAW_STD) ** 2)
+    np.testing.assert_allclose(variance[OF_MEMBERS], std**2)
+    variance = diagonal_of(moved(state, pose).bank.covariance)[k]
+    np.testing.assert_allclose(variance[WITNESS], std**2)
 
 
 def test_move_to_the_witness_keeps_it_as_it_was() -> None:

@@ -11,11 +11,13 @@ import pytest
 from drives import TRUE_Q, TRUE_R
 from lasting_drives import Errors, lasting_drive, rms, tracked
 
+from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import Row
+from fnn_ekf_ros.core.filter import fuse
 from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.lasting.compass_offset import offset_of
 from fnn_ekf_ros.core.lasting.members import WHITE
-from fnn_ekf_ros.core.state import FilterModel, FilterState
+from fnn_ekf_ros.core.state import FilterModel, FilterState, reset_pose
 
 pytestmark = pytest.mark.slow
 Make = Callable[..., FilterModel]
@@ -116,6 +118,24 @@ def test_pose_that_was_given_does_not_follow_a_compass_that_is_off(
     assert np.abs(found.error[:, 2]).max() < 0.5
     assert np.hypot(*found.error[:, :2].transpose(1, 0, 2)).max() < 0.4
     assert np.all(rms(found.error)[:2] < 0.1)
+
+
+def test_wrong_yaw_that_is_said_to_be_exact_does_not_accuse_the_compass(joint: FilterModel) -> None:
+    """The robot is found again within seconds; before the move its offset was hardly known."""
+    drive = lasting_drive(7, 6, 100, Errors())
+    state = tracked(joint, drive[:10]).states[-1]
+    wrong = drive[9][1] + np.array([1.0, 0.5, 0.6])[:, None]
+    exact = np.diag([2e-4, 2e-4, 1e-3])[:, :, None] * np.ones(6)
+    state = reset_pose(joint, state, wrong, exact, is_given=True)
+    errors = []
+    for epoch, truth in drive[10:]:
+        state, _ = fuse(joint, state, epoch)
+        assert state.lasting is not None
+        assert not state.lasting.offset.believed.any()
+        errors.append(state.mean - truth)
+    late = np.array(errors[40:])
+    assert np.abs(late[:, :2]).max() < 0.3
+    assert np.abs(wrap_angle(late[:, 2])).max() < 0.2
 
 
 def test_stuck_wheel_turns_no_compass(joint: FilterModel) -> None:
