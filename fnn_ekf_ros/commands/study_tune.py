@@ -35,7 +35,9 @@ from fnn_ekf_ros.study.workers import in_any_order
 from fnn_ekf_ros.tuning.recorded import Recorded, tune_recording
 from fnn_ekf_ros.tuning.trial_tables import (
     HOW_TO_READ,
+    HOW_TO_READ_HALVES,
     HOW_TO_READ_RECORDINGS,
+    halves_table,
     recorded_table,
     summary,
     trial_table,
@@ -64,6 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", metavar="S", type=float, default=600.0, help="length of a drive [s] (600)"
     )
+    parser.add_argument(
+        "--halves", action="store_true",
+        help="tune both halves of each drive, too: does the noise of the first fit the second?",
+    )  # fmt: skip
     parser.add_argument("--kinds", metavar="A,B", help=f"some of {', '.join(KINDS)} (all)")
     parser.add_argument(
         "--truth-topic", metavar="TOPIC", default="/ground_truth",
@@ -87,23 +93,28 @@ def run(arguments: argparse.Namespace) -> int:
     inputs = [*arguments.bags, *arguments.params]
     results = study_results(out, arguments.json, inputs, replaces=arguments.force)
     made_by: dict[str, Any] = {"study": NAME, "version": version(), "parameters": given}
+    options: dict[str, Any] = {"halves": ""} if arguments.halves else {}
     rows: Sequence[Recorded | Trial]
     if arguments.bags:
         rows = recorded = [_recorded(bag, arguments) for bag in arguments.bags]
         bags = " ".join(bag.name for bag in arguments.bags)
-        head = command_head(made_by, {}, HOW_TO_READ_RECORDINGS, bags)
+        head = command_head(made_by, options, HOW_TO_READ_RECORDINGS, bags)
         body, said = recorded_table(recorded), f"{len(recorded)} recordings"
     else:
-        options = {
+        chosen = {
             "runs": arguments.runs,
             "seconds": f"{arguments.seconds:g}",
             "seed": arguments.seed,
             "kinds": ",".join(names),
         }
+        options = chosen | options
         rows = trials = _trials(names, arguments)
         head, body = command_head(made_by, options, HOW_TO_READ), trial_table(names, trials)
-        made_by |= options
+        made_by |= chosen
         said = summary(trials)
+    halves = [(_name(row), row.halves) for row in rows if row.halves is not None]
+    if halves:
+        head, body = f"{head}\n{HOW_TO_READ_HALVES}", f"{body}\n{halves_table(halves)}"
     with results.written({**made_by, "results": [_plain(row) for row in rows]}) as folder:
         write_text(folder / "results.md", f"{head}\n{body}")
     print(f"{out}: {said}")
@@ -114,20 +125,20 @@ def run(arguments: argparse.Namespace) -> int:
 class _Tuner:
     """Tunes robots, in any process."""
 
-    def __init__(self, seconds: float) -> None:
-        self._seconds = seconds
+    def __init__(self, seconds: float, with_halves: bool) -> None:
+        self._seconds, self._with_halves = seconds, with_halves
 
     def __call__(self, robot: tuple[str, int]) -> Trial:
         """Return what was found."""
         name, seed = robot
-        return tune_robot(name, seed, self._seconds)
+        return tune_robot(name, seed, self._seconds, with_halves=self._with_halves)
 
 
 def _trials(names: Sequence[str], arguments: argparse.Namespace) -> list[Trial]:
     """Tune simulated robots."""
     robots = [(name, arguments.seed + number) for name in names for number in range(arguments.runs)]
     requests = [(f"{name}, seed {seed}", (name, seed)) for name, seed in robots]
-    work = in_any_order(arguments.jobs, _Tuner, requests, arguments.seconds)
+    work = in_any_order(arguments.jobs, _Tuner, requests, arguments.seconds, arguments.halves)
     with closing(work):
         done = dict(with_progress(work, len(requests), "study tune"))
     return [done[number] for number in range(len(requests))]
@@ -144,15 +155,20 @@ def _recorded(bag: Path, arguments: argparse.Namespace) -> Recorded:
         arguments.truth_topic,
         arguments.remappings,
     )
-    return tune_recording(recording, lambda _: None)
+    return tune_recording(recording, lambda _: None, with_halves=arguments.halves)
+
+
+def _name(row: Recorded | Trial) -> str:
+    return row.label if isinstance(row, Recorded) else f"{row.kind}, seed {row.seed}"
 
 
 def _plain(row: Recorded | Trial) -> dict[str, Any]:
     """Return a row for JSON, which knows no infinite standard error."""
+    halves = None if row.halves is None else row.halves._asdict()
     if isinstance(row, Recorded):
-        return row._asdict()
+        return {**row._asdict(), "halves": halves}
     found = [
         {**each._asdict(), "std": each.std if math.isfinite(each.std) else None}
         for each in row.found
     ]
-    return {**row._asdict(), "found": found}
+    return {**row._asdict(), "found": found, "halves": halves}

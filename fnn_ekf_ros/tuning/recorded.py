@@ -16,7 +16,7 @@ from fnn_ekf_ros.study.starts import RIGHT
 from fnn_ekf_ros.tuning.fit import Progress
 from fnn_ekf_ros.tuning.forecasts import poses
 from fnn_ekf_ros.tuning.recording import TuningRecording, prepare
-from fnn_ekf_ros.tuning.trials import loss_of_second_half
+from fnn_ekf_ros.tuning.trials import Halves, compare_halves
 from fnn_ekf_ros.tuning.tune import tune
 
 SAME_INSTANT_S = 1e-6
@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
         lasting: of the fitted filter that follows lasting errors.
         errors_last: whether errors are said to last.
         decided_by: what the fit that is shown goes by.
-        loss: of the second half's objective by the first half's noise, relative to its optimum.
+        halves: the halves of the recording beside each other, where that was asked for.
     """
 
     label: str
@@ -42,15 +42,18 @@ class Recorded(NamedTuple):
     lasting: float
     errors_last: bool
     decided_by: str
-    loss: float
+    halves: Halves | None = None
 
 
-def tune_recording(recording: RealRecording, progress: Progress) -> Recorded:
+def tune_recording(
+    recording: RealRecording, progress: Progress, *, with_halves: bool = False
+) -> Recorded:
     """Tune a recording and score what was found.
 
     Args:
         recording: with its truth.
         progress: is told what is being done.
+        with_halves: whether both halves of it are tuned, too, and compared.
     """
     best = run_filters(recording, FIXED).reference.position
     start = batch_start(recording.parameters, recording.periods, [RIGHT])
@@ -69,7 +72,7 @@ def tune_recording(recording: RealRecording, progress: Progress) -> Recorded:
         lasting=float(np.sqrt(np.mean(errors**2))) / best,
         errors_last=tuned.errors_last,
         decided_by="next readings" if fit.trusts_next_readings else "outages",
-        loss=loss_of_second_half(prepared, progress),
+        halves=compare_halves(prepared, progress) if with_halves else None,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fnn_ekf_ros.study.report.tables import table
 from fnn_ekf_ros.tuning.recorded import Recorded
-from fnn_ekf_ros.tuning.trials import KINDS, Found, Trial
+from fnn_ekf_ros.tuning.trials import KINDS, Found, Halves, Trial
 
 HOW_TO_READ = """\
 The search begins with Q twice too large and R twice too small in standard deviation. Error: of the
@@ -23,10 +23,17 @@ which `tune` says rightly whether errors last.
 HOW_TO_READ_RECORDINGS = """\
 Position RMSE over the ground truth, relative to the best of 25 fixed EKFs with the shipped gate,
 chosen in hindsight: of a plain EKF with that gate and the noise that `tune` writes, and of the
-fitted filter that follows lasting errors. Second half: what the noise of the first half loses of
-the objective of the fit, relative to the optimum of the same model on it.
+fitted filter that follows lasting errors.
 """
 """Explains the table of recordings."""
+
+
+HOW_TO_READ_HALVES = """\
+Halves: what the noise of the first half of a drive loses of the second half's objective, in nats
+and relative to its size at the optimum of the same model; and the quantity in which the two halves
+differ most, in standard errors of the difference.
+"""
+"""Explains the table of halves."""
 
 
 def trial_table(names: Sequence[str], trials: Sequence[Trial]) -> str:
@@ -58,7 +65,7 @@ def recorded_table(found: Sequence[Recorded]) -> str:
     """Return the results of recordings in Markdown."""
     return table(
         ["recording", "best EKF [m]", "plain EKF", "with lasting errors", "errors last",
-         "decided by", "second half"],
+         "decided by"],
         [
             [
                 each.label,
@@ -67,11 +74,27 @@ def recorded_table(found: Sequence[Recorded]) -> str:
                 f"{each.lasting:.3f}",
                 "yes" if each.errors_last else "no",
                 each.decided_by,
-                f"{each.loss:+.2%}",
             ]
             for each in found
         ],
     )  # fmt: skip
+
+
+def halves_table(found: Sequence[tuple[str, Halves]]) -> str:
+    """Return how halves compare, by the name of what they are of, in Markdown."""
+    return table(
+        ["drive", "lost [nats]", "lost", "differs most", "standard errors"],
+        [
+            [
+                name,
+                f"{each.loss_nats:.1f}",
+                f"{each.loss:+.2%}",
+                each.most_different or "-",
+                f"{each.standard_errors:.1f}",
+            ]
+            for name, each in found
+        ],
+    )
 
 
 def summary(trials: Sequence[Trial]) -> str:

@@ -4,6 +4,7 @@
 """Tuning where the truth is known: simulated robots, and the second half of a recording."""
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +18,12 @@ from fnn_ekf_ros.parameters.paper import SIMULATION_1_STD, SIMULATION_2_STD
 from fnn_ekf_ros.simulation.listening import listen
 from fnn_ekf_ros.study.real import batch_start, recording_localizer
 from fnn_ekf_ros.study.starts import RIGHT
-from fnn_ekf_ros.tuning.fit import Fit, Progress
+from fnn_ekf_ros.tuning.fit import Progress
 from fnn_ekf_ros.tuning.forecasts import poses
 from fnn_ekf_ros.tuning.objective import term_values
 from fnn_ekf_ros.tuning.quantities import Quantity, coordinates, is_logarithm, scale_of
 from fnn_ekf_ros.tuning.recording import TuningRecording, prepare, schedule_of
-from fnn_ekf_ros.tuning.tune import Tuned, configured, tune
+from fnn_ekf_ros.tuning.tune import configured, tune
 from fnn_ekf_ros.tuning.uncertainty import QUANTILE
 
 START_NS = 10**12
@@ -92,6 +93,22 @@ class Found(NamedTuple):
     covered: bool
 
 
+class Halves(NamedTuple):
+    """The noise that a recording's first half tells, beside that of the second.
+
+    Attributes:
+        loss: what the first's loses of the second's objective, relative to its size at the optimum.
+        loss_nats: the same [nats].
+        most_different: the quantity in which they differ most; empty if no two are known.
+        standard_errors: by how many of the difference's standard errors.
+    """
+
+    loss: float
+    loss_nats: float
+    most_different: str
+    standard_errors: float
+
+
 class Trial(NamedTuple):
     """A robot that was tuned.
 
@@ -100,12 +117,14 @@ class Trial(NamedTuple):
         seed: its seed.
         errors_last: whether errors are said to last.
         found: the quantities, by the model that is shown.
+        halves: the halves of its drive beside each other, where that was asked for.
     """
 
     kind: str
     seed: int
     errors_last: bool
     found: tuple[Found, ...]
+    halves: Halves | None = None
 
 
 def simulated(kind: Kind, seed: int, duration_s: float) -> tuple[TuningRecording, FloatArray]:
@@ -146,13 +165,14 @@ def _listened(
     return prepare("simulated", parameters, batch)
 
 
-def tune_robot(name: str, seed: int, duration_s: float) -> Trial:
+def tune_robot(name: str, seed: int, duration_s: float, *, with_halves: bool = False) -> Trial:
     """Tune a simulated robot.
 
     Args:
         name: of its kind.
         seed: of it.
         duration_s: how long it drives [s].
+        with_halves: whether both halves of its drive are tuned, too, and compared.
     """
     kind = KINDS[name]
     recording, true = simulated(kind, seed, duration_s)
@@ -175,7 +195,8 @@ def tune_robot(name: str, seed: int, duration_s: float) -> Trial:
                 covered=abs(difference) <= QUANTILE * each.std,
             )
         )
-    return Trial(name, seed, tuned.errors_last, tuple(found))
+    beside = compare_halves(recording, lambda _: None) if with_halves else None
+    return Trial(name, seed, tuned.errors_last, tuple(found), beside)
 
 
 def halves(recording: TuningRecording) -> tuple[TuningRecording, TuningRecording]:
@@ -205,20 +226,29 @@ def _part(recording: TuningRecording, part: slice) -> TuningRecording:
     )
 
 
-def loss_of_second_half(recording: TuningRecording, progress: Progress) -> float:
-    """Return what the first half's noise loses of the second half's objective.
+def compare_halves(recording: TuningRecording, progress: Progress) -> Halves:
+    """Return how well the noise of a recording's first half fits its second half.
 
-    Relative to the size of the objective at the second half's own optimum of the same model, with
-    the weights that its fit goes by.
+    By the model that the first half shows, with the weights that its fit to the second goes by.
     """
     first, second = halves(recording)
     tuned = tune([first], calibrates=False, progress=progress)
     own = tune([second], calibrates=False, progress=progress)
-    of_first, of_second = (_same_fit(each, lasting=tuned.errors_last) for each in (tuned, own))
-    terms = term_values([second], np.stack([of_first.values, of_second.values], axis=1))
-    values = of_second.weights.each() @ terms
-    return float((values[1] - values[0]) / abs(values[1]))
-
-
-def _same_fit(tuned: Tuned, *, lasting: bool) -> Fit:
-    return (tuned.lasting if lasting else tuned.white).fit
+    of_first, of_second = (
+        each.lasting if tuned.errors_last else each.white for each in (tuned, own)
+    )
+    terms = term_values([second], np.stack([of_first.fit.values, of_second.fit.values], axis=1))
+    at_first, optimum = of_second.fit.weights.each() @ terms
+    known = [
+        (abs(one.coordinate - other.coordinate) / std, one.quantity.name.lower())
+        for one, other in zip(of_first.intervals, of_second.intervals, strict=True)
+        for std in (math.hypot(one.std, other.std),)
+        if math.isfinite(std)
+    ]
+    most, quantity = max(known, default=(0.0, ""))
+    return Halves(
+        loss=float((optimum - at_first) / abs(optimum)),
+        loss_nats=float(optimum - at_first),
+        most_different=quantity,
+        standard_errors=float(most),
+    )

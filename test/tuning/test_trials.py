@@ -13,13 +13,20 @@ import pytest
 from commands import Refuse, Succeed
 
 from fnn_ekf_ros.commands import study_tune
-from fnn_ekf_ros.tuning import recorded, trials
+from fnn_ekf_ros.tuning import trials
 from fnn_ekf_ros.tuning.fit import FULL
 from fnn_ekf_ros.tuning.objective import term_values
 from fnn_ekf_ros.tuning.quantities import Quantity
-from fnn_ekf_ros.tuning.recording import TuningRecording
 from fnn_ekf_ros.tuning.trial_tables import summary, trial_table
-from fnn_ekf_ros.tuning.trials import KINDS, Found, Trial, halves, simulated, tune_robot
+from fnn_ekf_ros.tuning.trials import (
+    KINDS,
+    Found,
+    Trial,
+    compare_halves,
+    halves,
+    simulated,
+    tune_robot,
+)
 from fnn_ekf_ros.tuning.tune import configured
 
 QUICK_S = 100.0
@@ -92,7 +99,7 @@ def test_tables_count_what_is_covered() -> None:
 
 
 def test_the_command_takes_robots_and_recordings(
-    tmp_path: Path, succeed: Succeed, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, succeed: Succeed, refuse: Refuse
 ) -> None:
     out, bag = tmp_path / "out", tmp_path / "drive"
     words = ("--kinds", "sim2", "--runs", 1, "--seconds", 100, "--jobs", 1)
@@ -102,13 +109,40 @@ def test_the_command_takes_robots_and_recordings(
     line = refuse("study", "tune", "--out", tmp_path / "no", "-p", "period:=1.0")
     assert "expected at least one BAG" in line
 
-    def loss(recording: TuningRecording, _: object) -> float:
-        return float(recording.available[0].sum())
-
-    monkeypatch.setattr(recorded, "loss_of_second_half", loss)
     succeed("simulate", bag, "--duration", 60)
     succeed("study", "tune", bag, "--out", tmp_path / "recorded")
     (row,) = json.loads((tmp_path / "recorded" / "results.json").read_text())["results"]
-    assert row["loss"] > 100
+    assert row["halves"] is None
     assert 0.8 < row["plain"] < 1.3
     assert 0.8 < row["lasting"] < 1.3
+
+
+def test_halves_of_a_drive_whose_noise_stays_differ_by_chance_alone(
+    tmp_path: Path, succeed: Succeed
+) -> None:
+    """And the noise of the first fits the second."""
+    out = tmp_path / "out"
+    words = ("--kinds", "sim2", "--runs", 1, "--seconds", 100, "--jobs", 1, "--halves")
+    succeed("study", "tune", "--out", out, *words)
+    (row,) = json.loads((out / "results.json").read_text())["results"]
+    beside = row["halves"]
+    assert 0.0 <= beside["loss_nats"] < 8.0
+    assert 0.0 <= beside["loss"] < 0.02
+    assert beside["most_different"] in ("distance", "rotation", "position", "compass")
+    assert 0.0 < beside["standard_errors"] < 3.0
+    text = (out / "results.md").read_text()
+    assert "--kinds sim2 --halves`" in text
+    assert f"| sim2, seed 1 | {beside['loss_nats']:.1f} | {beside['loss']:+.2%} |" in text
+
+
+def test_halves_whose_noise_differs_say_so() -> None:
+    """Fixes of the second half with three times the noise."""
+    recording, _ = simulated(KINDS["sim2"], 1, QUICK_S)
+    middle = len(recording.duration_s) // 2
+    measurement = recording.measurement.copy()
+    rng = np.random.default_rng(1)
+    measurement[:2, middle:] += 0.3 * rng.standard_normal(measurement[:2, middle:].shape)
+    beside = compare_halves(recording._replace(measurement=measurement), lambda _: None)
+    assert beside.most_different == "position"
+    assert beside.standard_errors > 5.0
+    assert beside.loss_nats > 50.0

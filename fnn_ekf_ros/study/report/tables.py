@@ -52,11 +52,11 @@ def command_head(
 
     Args:
         made_by: the study's name, the version, the parameters that were given.
-        options: of the command, by name.
+        options: of the command, by name; empty for one that has no value.
         how_to_read: explains the tables.
         inputs: arguments of the command before its options.
     """
-    words = "".join(f" --{name} {value}" for name, value in options.items())
+    words = "".join(f" --{name} {value}".rstrip() for name, value in options.items())
     given = "".join(f" -p {name}:={value}" for name, value in made_by["parameters"].items())
     name = made_by["study"]
     command = f"study {name}{inputs and f' {inputs}'}{words}{given}"
