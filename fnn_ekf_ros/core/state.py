@@ -220,12 +220,7 @@ def start_filter(
 
 
 def reset_pose(
-    model: FilterModel,
-    state: FilterState,
-    mean: FloatArray,
-    covariance: FloatArray,
-    *,
-    is_given: bool = False,
+    model: FilterModel, state: FilterState, mean: FloatArray, covariance: FloatArray
 ) -> FilterState:
     """Return the state at another pose, with the adapted noise and without old innovations.
 
@@ -234,7 +229,6 @@ def reset_pose(
         state: before.
         mean: `(3, *batch)` pose (m, m, rad).
         covariance: `(3, 3, *batch)` its covariance.
-        is_given: whether the pose is somebody's word, not found by the filter.
     """
     batch = mean.shape[1:]
     count = model.layout.steady.stop
@@ -247,7 +241,7 @@ def reset_pose(
         gate=start_gate(batch),
         relocation_hypothesis=no_hypothesis(batch),
         lead=np.zeros_like(state.lead),
-        lasting=None if lasting is None else moved(lasting, bank.filters(WHITE), is_given=is_given),
+        lasting=None if lasting is None else moved(lasting, bank.filters(WHITE)),
     )
 
 

@@ -158,5 +158,4 @@ def _set_pose(
         state,
         np.broadcast_to(mean.behind(len(batch)), (3, *batch)),
         np.broadcast_to(covariance.behind(len(batch)), (3, 3, *batch)),
-        is_given=True,
     )

@@ -19,7 +19,7 @@ from fnn_ekf_ros.core.lasting.lasting import (
     start_lasting,
 )
 from fnn_ekf_ros.core.lasting.members import (
-    ANTIPODE,
+    CHALLENGER,
     HORIZONS_S,
     MEMBER_COUNT,
     MEMBERS,
@@ -133,5 +133,5 @@ def test_readings_of_a_turned_compass_correct_the_witness_alone() -> None:
     offset, variance = offset_of(state.bank)
     assert offset == pytest.approx(1.2, abs=0.05)
     assert variance < 0.2**2
-    others = [k for k in range(before.mean.shape[1]) if k not in (WITNESS, ANTIPODE)]
+    others = [k for k in range(before.mean.shape[1]) if k not in (WITNESS, CHALLENGER)]
     np.testing.assert_allclose(state.bank.mean[:, others], before.mean[:, others], atol=1e-4)

@@ -13,7 +13,7 @@ from fnn_ekf_ros.core.arrays import BoolArray, FloatArray, Row
 from fnn_ekf_ros.core.bank import Bank, Noise, Readings, noise_of_readings
 from fnn_ekf_ros.core.lasting.comparison import Correcting
 from fnn_ekf_ros.core.lasting.members import (
-    ANTIPODE,
+    CHALLENGER,
     FILTER_COUNT,
     MEMBER_COUNT,
     MEMBERS,
@@ -96,7 +96,7 @@ def matrices_of(seen: Seen, k: int, n: int, rows: list[Row]) -> Matrices:
     if seen.fix is not None:
         place = np.ix_([0, 1, 3], [0, 1, 3])
         R[place] = seen.fix
-    if k not in (WITNESS, ANTIPODE):
+    if k not in (WITNESS, CHALLENGER):
         z[Row.COMPASS_YAW] -= offset
         z[Row.LRF_YAW] -= fix_yaw * offset
         R[Row.COMPASS_YAW, Row.COMPASS_YAW] += variance

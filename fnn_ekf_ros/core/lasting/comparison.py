@@ -63,7 +63,7 @@ class Comparison(NamedTuple):
         position_determinant: `(F, *batch)` det S of these [m^4].
         nis: `(2, *batch)` NIS of each sensor against the mixture; 0 where it measured nothing.
         witness_variance: `(2, *batch)` variance of the innovation of the compass against the
-            witness and its antipode [rad^2].
+            witness and its challenger [rad^2].
         mixed: `(4, *batch)` innovation of the mixture (m, m, rad, rad).
         variance: `(4, *batch)` diagonal of its S.
     """

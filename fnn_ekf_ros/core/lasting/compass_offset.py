@@ -28,13 +28,10 @@ import numpy as np
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import BoolArray, FloatArray
 from fnn_ekf_ros.core.bank import Bank
+from fnn_ekf_ros.core.evidence import log_likelihood
 from fnn_ekf_ros.core.lasting.augmented import Component
-from fnn_ekf_ros.core.lasting.members import (
-    ANTIPODE,
-    WITNESS,
-    WITNESS_OFFSET_STD,
-    WITNESSES,
-)
+from fnn_ekf_ros.core.lasting.challenger import LOST_AT, challenged
+from fnn_ekf_ros.core.lasting.members import WITNESS, WITNESS_OFFSET_STD
 
 USUAL_OFFSET_STD = 0.07
 """Standard deviation of the offset of a compass mounted with care [rad]: four degrees."""
@@ -67,23 +64,11 @@ KNOWN_AFTER_S = 3.0
 DISAGREES_AT = 3.0
 """Normalized innovation of the witness from which on a reading disagrees with an offset that is not
 known yet: the offset is unknown again, and the reading does not pull the witness's yaw."""
-SWAPPED_AT = 8.0
-"""Log likelihood ratio of the fixes for the antipode against the witness from which on they change
-places [nats]: odds of 55 (sequential test, Wald 1945) for a compass that is off by about pi, which
-is as rare as that."""
-KEPT_AT = -2.0
-"""Ratio from which on the witness is kept for good [nats]: odds of 7, and an offset of about pi is
-rare anyway."""
-LARGEST_GAIN = 0.5
-"""Largest contribution of a fix to it [nats]: errors that last are in several fixes, so that no few
-decide alone."""
-FITTING_NIS = 5.99
-"""NIS of x and y up to which a fix fits a filter: right noise exceeds it in 5 %. A fix that fits
-neither witness nor antipode does not tell which is right."""
 SUPPORT_NEEDED = 0.0
 """Log likelihood ratio of the fixes since the surprise began, for the wheels against the compass,
 from which on the compass was turned [nats]: they do not take its side. Soon the filters take a
 turned compass for slip and follow it; from then on fixes hardly tell."""
+_POSITION_ROWS = np.array(2.0)
 _OFFSET = Component.YAW_OFFSET
 
 
@@ -100,8 +85,8 @@ class CompassOffset(NamedTuple):
         surprised_s: `(*batch)` time for which one of them has been more than 0 [s].
         support: `(*batch)` log likelihood ratio of the fixes meanwhile, for the wheels against the
             compass [nats].
-        antipode: `(*batch)` log likelihood ratio of the fixes for the antipode against the witness,
-            until it is decided; then at most `KEPT_AT` [nats].
+        challenger: `(*batch)` lead of the witness's challenger [nats]; `challenger.LOST_AT`: there
+            is none.
     """
 
     believed: BoolArray
@@ -112,7 +97,7 @@ class CompassOffset(NamedTuple):
     surprise: FloatArray
     surprised_s: FloatArray
     support: FloatArray
-    antipode: FloatArray
+    challenger: FloatArray
 
     @property
     def unknown(self) -> BoolArray:
@@ -136,7 +121,7 @@ def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> Compa
     return CompassOffset(
         believed=no, likely_s=none, suspected=no, doubted=no, agreeing_s=none,
         surprise=np.zeros((2, *batch)), surprised_s=none, support=none,
-        antipode=none if from_readings else np.full(batch, KEPT_AT),
+        challenger=none if from_readings else np.full(batch, LOST_AT),
     )  # fmt: skip
 
 
@@ -193,56 +178,39 @@ def later(offset: CompassOffset, duration_s: float) -> CompassOffset:
     return offset._replace(surprised_s=offset.surprised_s + duration_s)
 
 
-def opposite_of_witness(bank: Bank) -> Bank:
-    """Make the antipode the witness with the opposite yaw, in place, and return the filters."""
-    bank.mean[:, ANTIPODE] = bank.mean[:, WITNESS]
-    bank.covariance[:, :, ANTIPODE] = bank.covariance[:, :, WITNESS]
-    yaw, offset = bank.mean[Component.YAW, WITNESS], bank.mean[_OFFSET, WITNESS]
-    bank.mean[Component.YAW, ANTIPODE] = wrap_angle(yaw + math.pi)
-    bank.mean[_OFFSET, ANTIPODE] = wrap_angle(offset - math.pi)
-    return bank
-
-
 def after_fix(
     offset: CompassOffset,
     bank: Bank,
     nis: FloatArray,
-    likelihood: FloatArray,
+    determinant: FloatArray,
     fixed: BoolArray,
 ) -> tuple[CompassOffset, Bank]:
     """Return the belief and the filters after a fix.
 
-    It takes the side of the wheels or of the compass, and of the witness or of its antipode until
-    it is decided which is right. If it is the antipode they change places.
+    It takes the side of the wheels or of the compass, and of the witness or of its challenger. If
+    that wins they change places, and what was believed of the witness's offset ends.
 
     Args:
         offset: the belief before it.
         bank: all filters after it; not changed.
-        nis: `(3, *batch)` NIS of its x and y for witness, antipode and advocate.
-        likelihood: `(3, *batch)` their log likelihood [nats].
+        nis: `(3, *batch)` NIS of its x and y for witness, challenger and advocate.
+        determinant: `(3, *batch)` det S of these [m^4].
         fixed: `(*batch)` whether there is a fix.
     """
-    witness, antipode, advocate = np.where(fixed, likelihood, 0.0)
-    offset = offset._replace(support=offset.support + witness - advocate)
-    asked = fixed & (offset.antipode > KEPT_AT) & (nis[:2].min(axis=0) < FITTING_NIS)
-    if not asked.any():
-        return offset, bank
-    gained = np.minimum(np.maximum(antipode - witness, -LARGEST_GAIN), LARGEST_GAIN)
-    lead = offset.antipode + np.where(asked, gained, 0.0)
-    swapped = lead >= SWAPPED_AT
-    offset = offset._replace(antipode=np.where(swapped, -lead, lead))
-    if not swapped.any():
-        return offset, bank
-    mean, covariance = bank.mean.copy(), bank.covariance.copy()
-    for array, axis in ((mean, 1), (covariance, 2)):
-        both = np.moveaxis(array, axis, 0)[WITNESSES]
-        both[...] = np.where(swapped, both[::-1], both)
-    offset = offset._replace(
-        likely_s=np.where(swapped, 0.0, offset.likely_s),
-        doubted=offset.doubted | (swapped & offset.believed),
-        believed=offset.believed & ~swapped,
+    witness, _, advocate = log_likelihood(nis, determinant, _POSITION_ROWS)
+    support = offset.support + np.where(fixed, witness - advocate, 0.0)
+    needed = offset.believed | offset.doubted
+    challenge = challenged(offset.challenger, bank, nis[:2], determinant[:2], fixed, needed)
+    after = offset._replace(support=support, challenger=challenge.lead)
+    won = challenge.won
+    if not won.any():
+        return after, challenge.bank
+    after = after._replace(
+        likely_s=np.where(won, 0.0, offset.likely_s),
+        doubted=offset.doubted | (won & offset.believed),
+        believed=offset.believed & ~won,
     )
-    return offset, Bank(mean, covariance)
+    return after, challenge.bank
 
 
 def after_compass(

@@ -14,7 +14,6 @@ off by a constant (`compass_offset`). The estimate is the mixture of the members
 Q and R are those that joint adaptation learns; they describe what of the errors is white.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,7 @@ from fnn_ekf_ros.core.lasting.augmented import (
     kept_by_errors,
     predict_augmented,
 )
+from fnn_ekf_ros.core.lasting.challenger import opposite_of_witness
 from fnn_ekf_ros.core.lasting.comparison import Comparison, Correcting, compare
 from fnn_ekf_ros.core.lasting.compass_offset import (
     CompassOffset,
@@ -38,7 +38,6 @@ from fnn_ekf_ros.core.lasting.compass_offset import (
     after_fix,
     later,
     offset_of,
-    opposite_of_witness,
     reconsidered,
     start_offset,
     suspected_with,
@@ -71,9 +70,6 @@ from fnn_ekf_ros.core.pace import NOMINAL_PERIOD_S
 
 UNKNOWN_VARIANCE = 1e4
 """Variance of a yaw offset that is not known, as good as no reading [rad^2]."""
-GIVEN_YAW_STD = math.radians(15.0)
-"""Smallest standard deviation that the witness believes of a yaw that somebody sets [rad]; RViz
-says the same of what is set by hand."""
 _CYCLES = (len(HORIZONS_S), PHASES, MEMBER_COUNT)
 _UNKNOWN_SHARE = float(weights_of(start_outages(()).log_weight) @ FIXES_LAST)
 """Weight of the members whose fix errors last before anything is known, 0.09."""
@@ -193,23 +189,14 @@ def start_lasting(
     return _estimated(state, state.bank)
 
 
-def moved(state: LastingState, pose: Bank, *, is_given: bool = False) -> LastingState:
-    """Return the state at another pose, with what was learned.
+def moved(state: LastingState, pose: Bank) -> LastingState:
+    """Return the state at another pose `(3, 1, *batch)`, with what was learned.
 
     The errors are as uncertain as in the long run, but for the compass's offset, which is kept.
-
-    Args:
-        state: before.
-        pose: `(3, 1, *batch)`.
-        is_given: whether it is somebody's word, which is no proof against the compass: the witness
-            believes its yaw no better than `GIVEN_YAW_STD`.
     """
     bank = at_pose(pose, error_variances(state.fix_variance), from_readings=False)
-    k, yaw = Component.YAW_OFFSET, Component.YAW
+    k = Component.YAW_OFFSET
     bank.mean[k, WITNESS], bank.covariance[k, k, WITNESS] = offset_of(state.bank)
-    if is_given:
-        variance = np.maximum(pose.covariance[yaw, yaw, 0], GIVEN_YAW_STD**2)
-        bank.covariance[yaw, yaw, WITNESS] = variance
     return _at_new_pose(state, bank)
 
 
@@ -324,8 +311,7 @@ def after_readings(
     outages, offset = state.outages, state.offset
     if read[Row.X].any():
         nis, determinant = seen.position_nis[OF_OFFSET], seen.position_determinant[OF_OFFSET]
-        likelihood = log_likelihood(nis, determinant, _POSITION_ROWS)
-        offset, bank = after_fix(offset, bank, nis, likelihood, read[Row.X] & moves)
+        offset, bank = after_fix(offset, bank, nis, determinant, read[Row.X] & moves)
     if fixed.any():
         nis, determinant = seen.position_nis[COPIES], seen.position_determinant[COPIES]
         likelihood = log_likelihood(nis, determinant, _POSITION_ROWS)

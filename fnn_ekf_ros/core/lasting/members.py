@@ -8,8 +8,8 @@ yaws have one of `yaw_std`. Which assumption holds cannot be told from one predi
 fix error that lasts looks like an error of the wheels. Simulated outages tell (`outages`): copies
 of each member are not corrected by fixes for some time, and are scored by the fixes after it.
 
-The filters, in this order: the members, the witness of the compass, its antipode and the compass's
-advocate (`compass_offset`), and for each horizon and phase of the outages the copies of
+The filters, in this order: the members, the witness of the compass, its challenger and the
+compass's advocate (`compass_offset`), and for each horizon and phase of the outages the copies of
 all members.
 """
 
@@ -67,12 +67,11 @@ WITNESS_FIX_FACTOR = 3.0
 WITNESS_OFFSET_STD = 1.5
 """Prior standard deviation of the offset of the witness [rad]: any mounting angle is possible."""
 
-ANTIPODE = WITNESS + 1
-"""Index of the witness's antipode: a witness that begins with the opposite yaw. Where the offset is
-about pi a fix does not say to which side the witness is wrong; this one is right then."""
-WITNESSES = slice(WITNESS, ANTIPODE + 1)
-"""The witness and its antipode, which take the compass as it comes."""
-ADVOCATE = ANTIPODE + 1
+CHALLENGER = WITNESS + 1
+"""Index of the witness's challenger, a witness that begins with another yaw (`challenger`)."""
+WITNESSES = slice(WITNESS, CHALLENGER + 1)
+"""The witness and its challenger, which take the compass as it comes."""
+ADVOCATE = CHALLENGER + 1
 """Index of the compass's advocate, which takes the wheels for wrong where they contradict it."""
 ADVOCATE_ROTATION = 25.0
 """Factor on the variance of the wheels' rotation for the advocate: five standard deviations, as for
@@ -81,7 +80,7 @@ a suspect. Its distance has no more noise, or fixes would not tell where its yaw
 OF_MEMBERS = slice(0, MEMBER_COUNT)
 """The members among the filters."""
 OF_OFFSET = slice(WITNESS, ADVOCATE + 1)
-"""The filters that tell the compass's offset: witness, antipode and advocate."""
+"""The filters that tell the compass's offset: witness, challenger and advocate."""
 CORRECTED = slice(0, OF_OFFSET.stop)
 """The filters that fixes correct: members, witnesses and advocate."""
 _CYCLES = len(HORIZONS_S) * PHASES

@@ -11,7 +11,7 @@ from lasting_banks import Seen, matrices_of, random_seen
 from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.core.lasting.augmented import Component
 from fnn_ekf_ros.core.lasting.comparison import Comparison, compare, two_row_nis
-from fnn_ekf_ros.core.lasting.members import ANTIPODE, FILTER_COUNT, MEMBER_COUNT, WITNESS
+from fnn_ekf_ros.core.lasting.members import CHALLENGER, FILTER_COUNT, MEMBER_COUNT, WITNESS
 from fnn_ekf_ros.core.rows import COMPASS, LRF_POSE
 
 ROBOTS = 3
@@ -129,7 +129,7 @@ def test_believed_offset_is_subtracted_for_all_but_the_witness(
     r, plain = compared(seen).innovation, compared(seen._replace(correcting=without)).innovation
     shift = np.angle(np.exp(1j * (plain - r)))
     offset = seen.correcting.offset
-    others = [k for k in range(FILTER_COUNT) if k not in (WITNESS, ANTIPODE)]
+    others = [k for k in range(FILTER_COUNT) if k not in (WITNESS, CHALLENGER)]
     np.testing.assert_allclose(
         shift[Row.COMPASS_YAW, others], np.broadcast_to(offset, (len(others), ROBOTS))
     )

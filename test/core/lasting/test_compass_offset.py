@@ -11,21 +11,18 @@ import pytest
 
 from fnn_ekf_ros.core.bank import Bank
 from fnn_ekf_ros.core.lasting.augmented import AUGMENTED_SIZE, Component
+from fnn_ekf_ros.core.lasting.challenger import LARGEST_GAIN, WON_AT, opposite_of_witness
 from fnn_ekf_ros.core.lasting.compass_offset import (
     BELIEVED_AFTER_S,
     BELIEVED_AT,
     DISAGREES_AT,
-    FITTING_NIS,
     GIVEN_UP_AT,
-    KEPT_AT,
     KNOWN_AFTER_S,
     KNOWN_STD,
-    LARGEST_GAIN,
     LARGEST_SURPRISE,
     LIKELY_AT,
     SMALLEST_WEIGHT,
     SUPPORT_NEEDED,
-    SWAPPED_AT,
     TURNED_AFTER_S,
     TURNED_AT,
     USUAL_OFFSET_STD,
@@ -36,13 +33,12 @@ from fnn_ekf_ros.core.lasting.compass_offset import (
     later,
     log_odds,
     offset_of,
-    opposite_of_witness,
     reconsidered,
     start_offset,
     suspected_with,
 )
 from fnn_ekf_ros.core.lasting.members import (
-    ANTIPODE,
+    CHALLENGER,
     FILTER_COUNT,
     WITNESS,
     WITNESS_OFFSET_STD,
@@ -191,12 +187,12 @@ def test_readings_off_by_about_pi_are_off_to_either_side() -> None:
 
 
 def with_fixes(
-    ratios: Sequence[tuple[float, float]], start: CompassOffset, bank: Bank, nis: float = 1.0
+    ratios: Sequence[tuple[float, float]], start: CompassOffset, bank: Bank
 ) -> tuple[CompassOffset, Bank]:
-    """Return both after fixes, by their log ratios of antipode and advocate to the witness."""
-    for antipode, advocate in ratios:
-        likelihood = np.array([[-1.0], [antipode - 1.0], [advocate - 1.0]])
-        start, bank = after_fix(start, bank, np.full((3, 1), nis), likelihood, np.array([True]))
+    """Return both after fixes, by their log ratios of challenger and advocate to the witness."""
+    for challenger, advocate in ratios:
+        determinant = np.exp(-2.0 * np.array([[0.0], [challenger], [advocate]]))
+        start, bank = after_fix(start, bank, np.ones((3, 1)), determinant, np.array([True]))
     return start, bank
 
 
@@ -205,59 +201,34 @@ def test_support_of_the_wheels_is_the_sum_of_the_fixes_ratios() -> None:
     found, after = with_fixes([(0.0, -0.5), (0.0, 2.0)], start_offset((1,)), bank)
     assert found.support == pytest.approx(0.5 - 2.0)
     assert after is bank
-    likelihood = np.array([[9.0], [0.0], [0.0]])
-    no_fix, _ = after_fix(found, bank, np.ones((3, 1)), likelihood, np.array([False]))
+    no_fix, _ = after_fix(found, bank, np.ones((3, 1)), np.ones((3, 1)), np.array([False]))
     assert no_fix.support == found.support
 
 
-def test_witness_and_antipode_change_places_when_the_fixes_say_so() -> None:
-    """A belief in the witness's offset ends with it, and the compass is doubted."""
+def test_belief_in_the_witness_ends_where_its_challenger_takes_its_place() -> None:
+    """And the compass is doubted if an offset was believed."""
     bank = opposite_of_witness(witness(0.4, 0.1))
-    start = start_offset((1,))._replace(likely_s=np.array([3.0]))
-    steps = round(SWAPPED_AT / LARGEST_GAIN)
-    found, after = with_fixes([(9.0, 0.0)] * (steps - 1), start, bank)
-    assert (found.antipode, found.likely_s) == ((steps - 1) * LARGEST_GAIN, 3.0)
-    assert after is bank
+    steps = round(WON_AT / LARGEST_GAIN)
     for believed in (False, True):
-        start = found._replace(believed=np.array([believed]))
-        swapped, after = with_fixes([(9.0, 0.0)], start, bank)
-        assert swapped.antipode == -SWAPPED_AT
-        assert (bool(swapped.believed), bool(swapped.doubted)) == (False, believed)
-        assert swapped.likely_s == 0.0
-        for one, other in ((WITNESS, ANTIPODE), (ANTIPODE, WITNESS)):
-            np.testing.assert_array_equal(after.mean[:, one], bank.mean[:, other])
-            np.testing.assert_array_equal(after.covariance[:, :, one], bank.covariance[:, :, other])
-        again, same = with_fixes([(9.0, 0.0)] * 20, swapped, after)
-        assert again.antipode == swapped.antipode
-        assert same is after
+        start = start_offset((1,))._replace(likely_s=np.array([3.0]), believed=np.array([believed]))
+        found, after = with_fixes([(9.0, 0.0)] * (steps - 1), start, bank)
+        assert (found.likely_s, found.believed, after is bank) == (3.0, believed, True)
+        won, after = with_fixes([(9.0, 0.0)], found, bank)
+        assert (bool(won.believed), bool(won.doubted)) == (False, believed)
+        assert won.likely_s == 0.0
+        np.testing.assert_array_equal(after.mean[:, WITNESS], bank.mean[:, CHALLENGER])
 
 
-def test_what_is_decided_for_the_witness_stays() -> None:
-    bank = witness(0.0, 0.1)
-    steps = round(-KEPT_AT / LARGEST_GAIN)
-    found, _ = with_fixes([(-9.0, 0.0)] * steps + [(9.0, 0.0)] * 50, start_offset((1,)), bank)
-    assert found.antipode == KEPT_AT
-    given, after = with_fixes(
-        [(9.0, 0.0)] * 50, start_offset((1,), from_readings=False), bank
-    )  # a yaw that was given
-    assert given.antipode == KEPT_AT
+@pytest.mark.parametrize("which", ["believed", "doubted"])
+def test_challenger_begins_while_an_offset_is_believed_or_the_compass_doubted(which: str) -> None:
+    none = start_offset((1,), from_readings=False)
+    bank = witness(0.4, 0.1)
+    same, after = with_fixes([(9.0, 0.0)] * 50, none, bank)
+    assert same.challenger == none.challenger
     assert after is bank
-
-
-def test_fixes_that_fit_neither_do_not_decide() -> None:
-    """As where the assumed noise is too small by far."""
-    bank = witness(0.0, 0.1)
-    found, after = with_fixes([(9.0, 0.0)] * 50, start_offset((1,)), bank, nis=1.1 * FITTING_NIS)
-    assert not found.antipode.any()
-    assert after is bank
-
-
-def test_antipode_has_the_opposite_yaw_and_expects_the_same_of_the_compass() -> None:
-    bank = opposite_of_witness(witness(0.4, 0.1))
-    yaw, offset = bank.mean[[Component.YAW, OFFSET]][:, [WITNESS, ANTIPODE], 0]
-    assert abs(yaw[1] - yaw[0]) == pytest.approx(math.pi)
-    assert (yaw + offset)[1] == pytest.approx((yaw + offset)[0])
-    np.testing.assert_array_equal(bank.covariance[:, :, ANTIPODE], bank.covariance[:, :, WITNESS])
+    begun, after = with_fixes([(9.0, 0.0)], none._replace(**{which: np.array([True])}), bank)
+    assert begun.challenger == 0.0
+    np.testing.assert_array_equal(after.mean[:, CHALLENGER], bank.mean[:, WITNESS])
 
 
 def test_right_noise_does_not_turn_the_compass() -> None:

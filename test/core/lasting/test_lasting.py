@@ -17,7 +17,6 @@ from fnn_ekf_ros.core.filter import fuse
 from fnn_ekf_ros.core.gate import OPEN_GATE
 from fnn_ekf_ros.core.lasting.augmented import ERRORS, POSE, Component
 from fnn_ekf_ros.core.lasting.lasting import (
-    GIVEN_YAW_STD,
     LastingState,
     after_instant,
     after_readings,
@@ -31,7 +30,7 @@ from fnn_ekf_ros.core.lasting.lasting import (
     witness_pose,
 )
 from fnn_ekf_ros.core.lasting.members import (
-    ANTIPODE,
+    CHALLENGER,
     COPIES,
     FILTER_COUNT,
     HORIZONS_S,
@@ -188,21 +187,8 @@ def test_move_keeps_what_was_learned() -> None:
     np.testing.assert_allclose(found.mean, np.ones((3, 2)))
     np.testing.assert_allclose(found.covariance, pose.covariance[:, :, 0], atol=1e-15)
     expected = error_variances(state.fix_variance)
-    expected[3, [WITNESS, ANTIPODE]] = state.bank.covariance[k, k, WITNESS]
+    expected[3, [WITNESS, CHALLENGER]] = state.bank.covariance[k, k, WITNESS]
     np.testing.assert_allclose(diagonal_of(found.bank.covariance)[ERRORS], expected)
-
-
-@pytest.mark.parametrize("std", [0.01, 0.6])
-def test_witness_does_not_trust_a_given_yaw_more_than_a_hand_can_set_it(std: float) -> None:
-    """Or a wrong yaw that is said to be exact would accuse the compass."""
-    state = of_two_robots()
-    pose = Bank(np.ones((3, 1, 2)), std**2 * np.eye(3)[:, :, None, None] * np.ones(2))
-    k = Component.YAW
-    variance = diagonal_of(moved(state, pose, is_given=True).bank.covariance)[k]
-    np.testing.assert_allclose(variance[WITNESS], max(std, GIVEN_YAW_STD) ** 2)
-    np.testing.assert_allclose(variance[OF_MEMBERS], std**2)
-    variance = diagonal_of(moved(state, pose).bank.covariance)[k]
-    np.testing.assert_allclose(variance[WITNESS], std**2)
 
 
 def test_move_to_the_witness_keeps_it_as_it_was() -> None:
@@ -215,9 +201,9 @@ def test_move_to_the_witness_keeps_it_as_it_was() -> None:
         skip = (slice(None),) * (one.ndim - 2)
         assert np.array_equal(one[(*skip, WITNESS)], before[(*skip, WITNESS)])
         pose = (slice(0, 3),) * (one.ndim - 2)
-        for k in set(range(FILTER_COUNT)) - {ANTIPODE}:
+        for k in set(range(FILTER_COUNT)) - {CHALLENGER}:
             assert np.array_equal(one[(*pose, k)], before[(*pose, WITNESS)])
-    turned = found.bank.mean[Component.YAW, ANTIPODE] - found.bank.mean[Component.YAW, WITNESS]
+    turned = found.bank.mean[Component.YAW, CHALLENGER] - found.bank.mean[Component.YAW, WITNESS]
     np.testing.assert_allclose(np.cos(turned), -1.0)
 
 
