@@ -93,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
     inputs = [*arguments.bags, *arguments.params]
     results = study_results(out, arguments.json, inputs, replaces=arguments.force)
     made_by: dict[str, Any] = {"study": NAME, "version": version(), "parameters": given}
+    made_by["halves"] = arguments.halves
     options: dict[str, Any] = {"halves": ""} if arguments.halves else {}
     rows: Sequence[Recorded | Trial]
     if arguments.bags:

@@ -33,7 +33,7 @@ class Recorded(NamedTuple):
         lasting: of the fitted filter that follows lasting errors.
         errors_last: whether errors are said to last.
         decided_by: what the fit that is shown goes by.
-        halves: the halves of the recording beside each other, where that was asked for.
+        halves: its halves beside each other, where that was asked for and can be told.
     """
 
     label: str

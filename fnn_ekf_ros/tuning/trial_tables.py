@@ -30,8 +30,9 @@ fitted filter that follows lasting errors.
 
 HOW_TO_READ_HALVES = """\
 Halves: what the noise of the first half of a drive loses of the second half's objective, in nats
-and relative to its size at the optimum of the same model; and the quantity in which the two halves
-differ most, in standard errors of the difference.
+with the weights of its fit, and relative to its size at the optimum of the same model; and the one
+of its quantities in which the two halves differ most, in standard errors of the difference: 2 are
+usual where the noise does not change. Halves with too few fixes are left out.
 """
 """Explains the table of halves."""
 

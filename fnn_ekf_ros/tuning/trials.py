@@ -1,7 +1,7 @@
 # Copyright 2026 The fnn_ekf_ros developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tuning where the truth is known: simulated robots, and the second half of a recording."""
+"""Tuning where the truth is known: simulated robots, and the halves of a drive."""
 
 import dataclasses
 import math
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fnn_ekf_ros.core.arrays import FloatArray
+from fnn_ekf_ros.core.arrays import FloatArray, Row
 from fnn_ekf_ros.parameters.fake_robot import FakeRobotParameters
 from fnn_ekf_ros.parameters.faults import Fault, Wander
 from fnn_ekf_ros.parameters.localizer import LocalizerParameters
@@ -23,7 +23,7 @@ from fnn_ekf_ros.tuning.forecasts import poses
 from fnn_ekf_ros.tuning.objective import term_values
 from fnn_ekf_ros.tuning.quantities import Quantity, coordinates, is_logarithm, scale_of
 from fnn_ekf_ros.tuning.recording import TuningRecording, prepare, schedule_of
-from fnn_ekf_ros.tuning.tune import configured, tune
+from fnn_ekf_ros.tuning.tune import FEWEST_FIXES, configured, tune
 from fnn_ekf_ros.tuning.uncertainty import QUANTILE
 
 START_NS = 10**12
@@ -97,8 +97,9 @@ class Halves(NamedTuple):
     """The noise that a recording's first half tells, beside that of the second.
 
     Attributes:
-        loss: what the first's loses of the second's objective, relative to its size at the optimum.
-        loss_nats: the same [nats].
+        loss: what the first's loses of the second's objective, relative to its size at the optimum;
+            less than 0 where the second's fit ended at another optimum, or at a bound.
+        loss_nats: the same [nats], with the weights of the second's fit.
         most_different: the quantity in which they differ most; empty if no two are known.
         standard_errors: by how many of the difference's standard errors.
     """
@@ -117,7 +118,7 @@ class Trial(NamedTuple):
         seed: its seed.
         errors_last: whether errors are said to last.
         found: the quantities, by the model that is shown.
-        halves: the halves of its drive beside each other, where that was asked for.
+        halves: the halves of its drive beside each other, where that was asked for and can be told.
     """
 
     kind: str
@@ -195,7 +196,9 @@ def tune_robot(name: str, seed: int, duration_s: float, *, with_halves: bool = F
                 covered=abs(difference) <= QUANTILE * each.std,
             )
         )
-    beside = compare_halves(recording, lambda _: None) if with_halves else None
+    beside = None
+    if with_halves:
+        beside = compare_halves(recording, lambda _: None, calibrates=kind.calibrates)
     return Trial(name, seed, tuned.errors_last, tuple(found), beside)
 
 
@@ -226,25 +229,38 @@ def _part(recording: TuningRecording, part: slice) -> TuningRecording:
     )
 
 
-def compare_halves(recording: TuningRecording, progress: Progress) -> Halves:
+def compare_halves(
+    recording: TuningRecording, progress: Progress, *, calibrates: bool = False
+) -> Halves | None:
     """Return how well the noise of a recording's first half fits its second half.
 
     By the model that the first half shows, with the weights that its fit to the second goes by.
+
+    Args:
+        recording: the whole of it.
+        progress: is told what is being done.
+        calibrates: whether geometry, offset and delays are looked for, too, in each half.
+
+    Returns:
+        None where a half has too few fixes to be tuned.
     """
     first, second = halves(recording)
-    tuned = tune([first], calibrates=False, progress=progress)
-    own = tune([second], calibrates=False, progress=progress)
+    if min(int(half.available[Row.X].sum()) for half in (first, second)) < FEWEST_FIXES:
+        return None
+    tuned = tune([first], calibrates=calibrates, progress=progress)
+    own = tune([second], calibrates=calibrates, progress=progress)
     of_first, of_second = (
         each.lasting if tuned.errors_last else each.white for each in (tuned, own)
     )
     terms = term_values([second], np.stack([of_first.fit.values, of_second.fit.values], axis=1))
     at_first, optimum = of_second.fit.weights.each() @ terms
-    known = [
-        (abs(one.coordinate - other.coordinate) / std, one.quantity.name.lower())
-        for one, other in zip(of_first.intervals, of_second.intervals, strict=True)
-        for std in (math.hypot(one.std, other.std),)
-        if math.isfinite(std)
-    ]
+    of_second_by_name = {each.quantity: each for each in of_second.intervals}
+    known = []
+    for one in of_first.intervals:
+        other = of_second_by_name.get(one.quantity)  # a sensor may be silent in one half
+        std = math.inf if other is None else math.hypot(one.std, other.std)
+        if other is not None and math.isfinite(std):
+            known.append((abs(one.coordinate - other.coordinate) / std, one.quantity.name.lower()))
     most, quantity = max(known, default=(0.0, ""))
     return Halves(
         loss=float((optimum - at_first) / abs(optimum)),

@@ -13,6 +13,7 @@ import pytest
 from commands import Refuse, Succeed
 
 from fnn_ekf_ros.commands import study_tune
+from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.tuning import trials
 from fnn_ekf_ros.tuning.fit import FULL
 from fnn_ekf_ros.tuning.objective import term_values
@@ -105,14 +106,16 @@ def test_the_command_takes_robots_and_recordings(
     words = ("--kinds", "sim2", "--runs", 1, "--seconds", 100, "--jobs", 1)
     said = succeed("study", "tune", "--out", out, *words)
     assert said.startswith(f"{out}: 1 robots, ")
-    assert json.loads((out / "results.json").read_text())["results"][0]["kind"] == "sim2"
+    (robot,) = json.loads((out / "results.json").read_text())["results"]
+    assert (robot["kind"], robot["halves"]) == ("sim2", None)
     line = refuse("study", "tune", "--out", tmp_path / "no", "-p", "period:=1.0")
     assert "expected at least one BAG" in line
 
     succeed("simulate", bag, "--duration", 60)
-    succeed("study", "tune", bag, "--out", tmp_path / "recorded")
+    succeed("study", "tune", bag, "--halves", "--out", tmp_path / "recorded")
     (row,) = json.loads((tmp_path / "recorded" / "results.json").read_text())["results"]
-    assert row["halves"] is None
+    assert row["halves"]["most_different"] in ("distance", "rotation", "position", "compass")
+    assert "| drive | " in (tmp_path / "recorded" / "results.md").read_text()
     assert 0.8 < row["plain"] < 1.3
     assert 0.8 < row["lasting"] < 1.3
 
@@ -136,13 +139,23 @@ def test_halves_of_a_drive_whose_noise_stays_differ_by_chance_alone(
 
 
 def test_halves_whose_noise_differs_say_so() -> None:
-    """Fixes of the second half with three times the noise."""
+    """Fixes of the second half with three times the noise, and no compass in it."""
     recording, _ = simulated(KINDS["sim2"], 1, QUICK_S)
     middle = len(recording.duration_s) // 2
-    measurement = recording.measurement.copy()
+    measurement, available = recording.measurement.copy(), recording.available.copy()
     rng = np.random.default_rng(1)
     measurement[:2, middle:] += 0.3 * rng.standard_normal(measurement[:2, middle:].shape)
-    beside = compare_halves(recording._replace(measurement=measurement), lambda _: None)
+    available[Row.COMPASS_YAW, middle:] = False
+    changed = recording._replace(measurement=measurement, available=available)
+    beside = compare_halves(changed, lambda _: None)
+    assert beside is not None
     assert beside.most_different == "position"
     assert beside.standard_errors > 5.0
     assert beside.loss_nats > 50.0
+
+
+def test_halves_with_few_fixes_are_not_compared() -> None:
+    recording, _ = simulated(KINDS["sim2"], 1, QUICK_S)
+    few = recording.available.copy()
+    few[[Row.X, Row.Y], 20:] = False
+    assert compare_halves(recording._replace(available=few), lambda _: None) is None

@@ -6,24 +6,25 @@
 Wheels and compass say together how yaw and offset change, but not how large either is: that a fix
 tells by where it lies. A witness that is sure of a wrong yaw, and so of a wrong offset, hardly
 learns from fixes: lasting errors may explain them, and the learner takes them for noise that grows.
-Such a yaw comes of a compass that is off by about pi, to which side of it a fix does not say; of a
-pose that somebody set wrong; of sensors that said nonsense for a while.
+Such a yaw comes from a compass that is off by about pi, to which side of it a fix does not say;
+from a pose that somebody set wrong; from sensors that said nonsense for a while.
 
 The challenger is a filter like the witness with another yaw. It begins with the opposite one. A
 later one begins where the witness is and as if yaw and offset were unknown, but for their sum,
 
-    P_challenger = P + s^2 e e',     e = 1 at theta, -1 at b_0
+    P_challenger = P + s^2 d d',     d = 1 at theta, -1 at b_0
 
 and finds its own. Its lead is the sum over the fixes that fit one of the two of
 
     l_challenger - l_witness,     l = -1/2 log det S - log(e + a)
 
-at most .5 nats each; e is the NIS of x and y. This is the likelihood of a fix whose noise is known
-but for a factor: the noise that is assumed is wrong where the witness is. From a lead of 8 on they
-change places, from -2 on there is no challenger.
+at most .5 nats each; e is the NIS of x and y. With a = 0 this is the likelihood of a fix whose
+noise is known but for a factor: the noise that is assumed is wrong where the witness is. At a lead
+of 8 or more they change places, at -2 or less there is no challenger.
 
 A compass that is off is rare: while none is believed to be, the witness needs no challenger but the
-first. While one is, or was turned, a challenger begins whenever there is none.
+first. While one is, or was turned, a challenger begins whenever there is none, or one that has no
+lead has become like the witness.
 """
 
 import math
@@ -52,6 +53,9 @@ FITTING_NIS = 5.99
 neither does not tell which is right."""
 SMALLEST_NIS = 0.1
 """a, NIS below which smaller ones tell little more: right noise has less in 5 %."""
+ALIKE = 2.0
+"""Root mean square of the difference of the yaws, in standard deviations of that of the witness, up
+to which a challenger is like it."""
 _YAW, _OFFSET = Component.YAW, Component.YAW_OFFSET
 
 
@@ -97,7 +101,7 @@ def challenged(
         fixed: `(*batch)` whether there is a fix.
         needed: `(*batch)` whether a new challenger begins where there is none.
     """
-    begins = fixed & needed & (lead <= LOST_AT)
+    begins = fixed & needed & ((lead <= LOST_AT) | ((lead <= 0.0) & _alike(bank)))
     tells = fixed & (lead > LOST_AT) & (nis.min(axis=0) < FITTING_NIS)
     won = np.zeros(lead.shape, dtype=np.bool_)
     if tells.any():
@@ -105,12 +109,19 @@ def challenged(
         gained = np.minimum(np.maximum(of_challenger - of_witness, -LARGEST_GAIN), LARGEST_GAIN)
         lead = lead + np.where(tells, gained, 0.0)
         won = lead >= WON_AT
-        lead = np.where(won, LOST_AT, np.maximum(lead, LOST_AT))
+        lead = np.where(won | ~np.isfinite(lead), LOST_AT, np.maximum(lead, LOST_AT))
         if won.any():
             bank = _exchanged(bank, won)
     if begins.any():
         bank, lead = _with_new_challenger(bank, begins), np.where(begins, 0.0, lead)
     return Challenge(lead, bank, won)
+
+
+def _alike(bank: Bank) -> BoolArray:
+    """Return where the challenger has become like the witness, `(*batch)`."""
+    of_witness, of_challenger = bank.covariance[_YAW, _YAW, WITNESSES]
+    apart = wrap_angle(bank.mean[_YAW, CHALLENGER] - bank.mean[_YAW, WITNESS])
+    return np.asarray(apart * apart + of_challenger <= ALIKE**2 * of_witness)
 
 
 def _exchanged(bank: Bank, some: BoolArray) -> Bank:

@@ -18,6 +18,7 @@ sum is not 0 the fixes' log likelihood ratio of witness to advocate is added up.
 unless the fixes take its side, the compass was turned: its offset is unknown again, and the other
 filters do without the compass until the witness knows it: until its readings have agreed for a
 while. A compass that says anything makes the offset unknown with each reading that disagrees.
+A witness that is sure of a wrong offset is replaced by its challenger (`challenger`).
 """
 
 import math
@@ -79,7 +80,9 @@ class CompassOffset(NamedTuple):
         believed: `(*batch)` whether it is believed.
         likely_s: `(*batch)` time for which it has been likely [s].
         suspected: `(*batch)` whether the last yaw makes it likely, and it is not believed yet.
-        doubted: `(*batch)` whether the compass was turned and its offset is not known yet.
+        doubted: `(*batch)` whether its offset is not known any more, and not known again yet.
+        turned: `(*batch)` whether that is because the compass was turned, and not because an offset
+            was believed that was wrong.
         agreeing_s: `(*batch)` time for which readings have agreed with the offset meanwhile [s].
         surprise: `(2, *batch)` sums of normalized innovations to the left and to the right.
         surprised_s: `(*batch)` time for which one of them has been more than 0 [s].
@@ -93,6 +96,7 @@ class CompassOffset(NamedTuple):
     likely_s: FloatArray
     suspected: BoolArray
     doubted: BoolArray
+    turned: BoolArray
     agreeing_s: FloatArray
     surprise: FloatArray
     surprised_s: FloatArray
@@ -119,7 +123,7 @@ def start_offset(batch: tuple[int, ...], *, from_readings: bool = True) -> Compa
     """
     none, no = np.zeros(batch), np.zeros(batch, dtype=np.bool_)
     return CompassOffset(
-        believed=no, likely_s=none, suspected=no, doubted=no, agreeing_s=none,
+        believed=no, likely_s=none, suspected=no, doubted=no, turned=no, agreeing_s=none,
         surprise=np.zeros((2, *batch)), surprised_s=none, support=none,
         challenger=none if from_readings else np.full(batch, LOST_AT),
     )  # fmt: skip
@@ -188,7 +192,7 @@ def after_fix(
     """Return the belief and the filters after a fix.
 
     It takes the side of the wheels or of the compass, and of the witness or of its challenger. If
-    that wins they change places, and what was believed of the witness's offset ends.
+    that wins they change places, and what was known of the witness and its offset ends.
 
     Args:
         offset: the belief before it.
@@ -206,9 +210,13 @@ def after_fix(
     if not won.any():
         return after, challenge.bank
     after = after._replace(
-        likely_s=np.where(won, 0.0, offset.likely_s),
-        doubted=offset.doubted | (won & offset.believed),
-        believed=offset.believed & ~won,
+        likely_s=np.where(won, 0.0, after.likely_s),
+        doubted=after.doubted | (won & after.believed),
+        believed=after.believed & ~won,
+        agreeing_s=np.where(won, 0.0, after.agreeing_s),
+        surprise=np.where(won, 0.0, after.surprise),
+        surprised_s=np.where(won, 0.0, after.surprised_s),
+        support=np.where(won, 0.0, after.support),
     )
     return after, challenge.bank
 
@@ -249,6 +257,7 @@ def after_compass(
     after = offset._replace(
         surprise=np.where(turned, 0.0, surprise),
         doubted=offset.doubted | turned,
+        turned=offset.turned | turned,
         agreeing_s=np.where(turned, 0.0, offset.agreeing_s),
     )
     return after, _with_unknown_offset(bank, turned) if turned.any() else bank
@@ -301,6 +310,7 @@ def reconsidered(
         believed=believed,
         likely_s=likely_s,
         doubted=offset.doubted & ~decided,
+        turned=offset.turned & ~decided,
         agreeing_s=agreeing_s,
     )
     return after, changed

@@ -56,6 +56,7 @@ from fnn_ekf_ros.core.lasting.members import (
     PROCESS,
     SQUARED_FACTORS,
     WITNESS,
+    WITNESSES,
     error_variances,
 )
 from fnn_ekf_ros.core.lasting.outages import (
@@ -197,16 +198,18 @@ def moved(state: LastingState, pose: Bank) -> LastingState:
     bank = at_pose(pose, error_variances(state.fix_variance), from_readings=False)
     k = Component.YAW_OFFSET
     bank.mean[k, WITNESS], bank.covariance[k, k, WITNESS] = offset_of(state.bank)
-    return _at_new_pose(state, bank)
+    lead = np.minimum(state.offset.challenger, 0.0)  # of another challenger than the one to come
+    state = state._replace(offset=state.offset._replace(challenger=lead))
+    return _at_new_pose(state, opposite_of_witness(bank))
 
 
 def moved_to_witness(state: LastingState) -> LastingState:
-    """Return the state with all filters at the witness's pose; the witness is as it was."""
+    """Return the state with all filters at the witness's pose; it and its challenger are kept."""
     pose, covariance = witness_pose(state)
     at_witness = Bank(pose[:, None], covariance[:, :, None])
     bank = at_pose(at_witness, error_variances(state.fix_variance), from_readings=False)
-    bank.mean[:, WITNESS] = state.bank.mean[:, WITNESS]
-    bank.covariance[:, :, WITNESS] = state.bank.covariance[:, :, WITNESS]
+    bank.mean[:, WITNESSES] = state.bank.mean[:, WITNESSES]
+    bank.covariance[:, :, WITNESSES] = state.bank.covariance[:, :, WITNESSES]
     return _at_new_pose(state, bank)
 
 
@@ -217,7 +220,7 @@ def witness_pose(state: LastingState) -> tuple[FloatArray, FloatArray]:
 
 def _at_new_pose(state: LastingState, bank: Bank) -> LastingState:
     outages = start_outages(state.outlier_share.shape, state.outages.log_weight)
-    return _estimated(state._replace(outages=outages), opposite_of_witness(bank))
+    return _estimated(state._replace(outages=outages), bank)
 
 
 def predict_lasting(

@@ -71,8 +71,8 @@ def report_lasting(state: LastingState) -> LastingReport:
         offset=offset,
         offset_std=np.sqrt(variance),
         believed=state.offset.believed,
-        likely=state.offset.suspected,
-        doubted=state.offset.doubted,
+        likely=state.offset.suspected | (state.offset.doubted & ~state.offset.turned),
+        doubted=state.offset.doubted & state.offset.turned,
         of_fix_yaw=~state.compass_seen,
     )
 

@@ -201,7 +201,8 @@ def test_support_of_the_wheels_is_the_sum_of_the_fixes_ratios() -> None:
     found, after = with_fixes([(0.0, -0.5), (0.0, 2.0)], start_offset((1,)), bank)
     assert found.support == pytest.approx(0.5 - 2.0)
     assert after is bank
-    no_fix, _ = after_fix(found, bank, np.ones((3, 1)), np.ones((3, 1)), np.array([False]))
+    determinant = np.array([[1.0], [1.0], [9.0]])
+    no_fix, _ = after_fix(found, bank, np.ones((3, 1)), determinant, np.array([False]))
     assert no_fix.support == found.support
 
 
@@ -215,7 +216,9 @@ def test_belief_in_the_witness_ends_where_its_challenger_takes_its_place() -> No
         assert (found.likely_s, found.believed, after is bank) == (3.0, believed, True)
         won, after = with_fixes([(9.0, 0.0)], found, bank)
         assert (bool(won.believed), bool(won.doubted)) == (False, believed)
-        assert won.likely_s == 0.0
+        assert won.likely_s == won.agreeing_s == won.surprised_s == won.support == 0.0
+        assert not won.surprise.any()
+        assert not won.turned
         np.testing.assert_array_equal(after.mean[:, WITNESS], bank.mean[:, CHALLENGER])
 
 
@@ -277,7 +280,7 @@ def test_offset_of_a_turned_compass_is_unknown_again() -> None:
         later(offset, TURNED_AFTER_S), bank, np.array([10.0 * STD, 0.0]), np.full(2, STD),
         np.array([True, True]), 1.0, np.zeros(2),
     )  # fmt: skip
-    assert after.doubted.tolist() == [True, False]
+    assert after.doubted.tolist() == after.turned.tolist() == [True, False]
     assert not after.surprise[:, 0].any()
     expected = bank.covariance.copy()
     expected[OFFSET, :, WITNESS, 0] = expected[:, OFFSET, WITNESS, 0] = 0.0
@@ -340,13 +343,14 @@ def test_doubt_ends_when_the_offset_is_known_and_decided() -> None:
     new = start_offset((1,))._replace(doubted=np.array([True]))
     before, _ = considered(new, witness(0.0, 0.5 * KNOWN_STD), KNOWN_AFTER_S - 2.0 * DT)
     assert before.doubted
-    doubted = new._replace(agreeing_s=np.array([KNOWN_AFTER_S]))
+    doubted = new._replace(agreeing_s=np.array([KNOWN_AFTER_S]), turned=np.array([True]))
     for std in (1.0, 1.1 * KNOWN_STD):  # not known yet
         offset, changed = reconsidered(doubted, witness(0.0, std), DT)
-        assert (bool(offset.doubted), bool(changed)) == (True, False)
+        assert (bool(offset.doubted), bool(offset.turned), bool(changed)) == (True, True, False)
     # Known, and as usual: the compass is as it was.
     offset, changed = reconsidered(doubted, witness(0.0, 0.5 * KNOWN_STD), DT)
     assert (bool(offset.doubted), bool(offset.believed), bool(changed)) == (False, False, True)
+    assert not offset.turned
     # Known, and off: only once it is believed.
     bank = witness(1.6, 0.5 * KNOWN_STD)
     offset, changes = considered(doubted, bank, BELIEVED_AFTER_S - DT)

@@ -16,6 +16,7 @@ from fnn_ekf_ros.core.bank import Bank, Noise, Readings, noise_of_readings
 from fnn_ekf_ros.core.filter import fuse
 from fnn_ekf_ros.core.gate import OPEN_GATE
 from fnn_ekf_ros.core.lasting.augmented import ERRORS, POSE, Component
+from fnn_ekf_ros.core.lasting.challenger import LOST_AT
 from fnn_ekf_ros.core.lasting.lasting import (
     LastingState,
     after_instant,
@@ -199,10 +200,22 @@ def test_move_to_the_witness_keeps_it_as_it_was() -> None:
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-15)
     for one, before in zip(found.bank, state.bank, strict=True):
         skip = (slice(None),) * (one.ndim - 2)
-        assert np.array_equal(one[(*skip, WITNESS)], before[(*skip, WITNESS)])
+        for k in (WITNESS, CHALLENGER):
+            assert np.array_equal(one[(*skip, k)], before[(*skip, k)])
         pose = (slice(0, 3),) * (one.ndim - 2)
         for k in set(range(FILTER_COUNT)) - {CHALLENGER}:
             assert np.array_equal(one[(*pose, k)], before[(*pose, WITNESS)])
+    assert found.offset is state.offset
+
+
+def test_lead_of_a_challenger_does_not_pass_to_another_one() -> None:
+    """At another pose the opposite one begins; that there is none stays so."""
+    state = of_two_robots()
+    lead = np.array([7.8, LOST_AT])
+    state = state._replace(offset=state.offset._replace(challenger=lead))
+    pose = Bank(np.ones((3, 1, 2)), 0.1 * np.eye(3)[:, :, None, None] * np.ones(2))
+    found = moved(state, pose)
+    assert found.offset.challenger.tolist() == [0.0, LOST_AT]
     turned = found.bank.mean[Component.YAW, CHALLENGER] - found.bank.mean[Component.YAW, WITNESS]
     np.testing.assert_allclose(np.cos(turned), -1.0)
 
