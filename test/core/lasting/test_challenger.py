@@ -3,20 +3,16 @@
 
 """The witness's challenger: what fixes say of the two, and when they change places."""
 
-import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from augmented_ekf import assert_semidefinite
-from drives import TRUE_Q, TRUE_R
 from lasting_drives import Errors, lasting_drive, tracked
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.bank import Bank
 from fnn_ekf_ros.core.filter import fuse
-from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.lasting.augmented import AUGMENTED_SIZE, Component
 from fnn_ekf_ros.core.lasting.challenger import (
     FITTING_NIS,
@@ -172,21 +168,6 @@ def test_robots_of_a_batch_change_places_each_by_itself(bank: Bank) -> None:
     alone = Bank(bank.mean[..., 2], bank.covariance[..., 2])
     after = challenged(lead[2], alone, nis[:, 2], determinant[:, 2], np.True_, np.True_)
     np.testing.assert_array_equal(after.bank.covariance, found.bank.covariance[..., 2])
-
-
-@pytest.fixture(scope="module")
-def joint(
-    make_model: Callable[..., FilterModel], make_adaptation: Callable[..., object]
-) -> FilterModel:
-    return dataclasses.replace(
-        make_model(
-            adaptation=make_adaptation(mode="joint"),
-            process_noise=tuple(TRUE_Q),
-            measurement_noise=tuple(TRUE_R),
-        ),
-        gate=gate_for(1e-6, 1e-6),
-        lasting_errors=True,
-    )
 
 
 @pytest.mark.slow

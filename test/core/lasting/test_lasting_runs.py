@@ -8,33 +8,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from drives import TRUE_Q, TRUE_R
 from lasting_drives import Errors, lasting_drive, rms, tracked
 
 from fnn_ekf_ros.core.angles import wrap_angle
 from fnn_ekf_ros.core.arrays import Row
 from fnn_ekf_ros.core.filter import fuse
-from fnn_ekf_ros.core.gate import gate_for
 from fnn_ekf_ros.core.lasting.compass_offset import offset_of
 from fnn_ekf_ros.core.lasting.members import WHITE
 from fnn_ekf_ros.core.state import FilterModel, FilterState, reset_pose
 
 pytestmark = pytest.mark.slow
-Make = Callable[..., FilterModel]
 MakeAdaptation = Callable[..., object]
-
-
-@pytest.fixture(scope="module")
-def joint(make_model: Make, make_adaptation: MakeAdaptation) -> FilterModel:
-    return dataclasses.replace(
-        make_model(
-            adaptation=make_adaptation(mode="joint"),
-            process_noise=tuple(TRUE_Q),
-            measurement_noise=tuple(TRUE_R),
-        ),
-        gate=gate_for(1e-6, 1e-6),
-        lasting_errors=True,
-    )
 
 
 @pytest.fixture(scope="module")
